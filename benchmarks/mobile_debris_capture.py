@@ -28,7 +28,7 @@ from ffsm_drake.common.so3 import matrix_of, quaternion_of, rotation_vector_moti
 from ffsm_drake.plugins.capture.approach import Backwards, margins_of, shares_of
 from ffsm_drake.runs.limits import limits_left
 from ffsm_drake.runs.rollout import make_rollout
-from ffsm_drake.scenario import Posture, Scenario, load_scenario
+from ffsm_drake.scenario import EMPTY, Posture, Scenario, load_scenario
 from ffsm_drake.scenario.capture import Approach
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import find_frame
@@ -146,7 +146,7 @@ class Planner:
             scenario.actuation, limit={**(scenario.actuation.limit or {}), **limit}
         )
         self.scenario = dataclasses.replace(scenario, actuation=actuation)
-        self.model = make_nominal_plant(dataclasses.replace(scenario, holds=False))
+        self.model = make_nominal_plant(scenario, EMPTY)
         self.names = [f"joint_{k}" for k in range(1, 8)]
         # the hand as the base sees it, in the posture of the grasp, and its Jacobian there
         q = np.concatenate([[1.0], np.zeros(6), READY])
@@ -241,7 +241,7 @@ def fly(plan: Plan) -> str:
     """How a mission ends; "caught" at best."""
 
     def reference(setup: BlockSetup) -> Any:
-        if setup.scenario.holds:  # from the grasp on
+        if setup.grip.holds:  # from the grasp on
             return PlannedReference().build(setup)
         return reference_from(plan.motion)
 

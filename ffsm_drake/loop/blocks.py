@@ -197,7 +197,7 @@ class _Making:
         self._nominal, self._given = nominal, given
         self._scenario = scenario = settle_faults(scenario, nominal.coordinates)
         self._choices = scenario.blocks.choices()
-        self._own = section_parts(scenario, given)  # parts of its own sections
+        self._own = section_parts(scenario, given, grip=nominal.grip)  # parts of its own sections
         self._setup = BlockSetup(
             name="", scenario=scenario, nominal=nominal, settings={}, split=split
         )
@@ -226,7 +226,7 @@ class _Making:
         place = f"blocks.{name} '{getattr(factory, '__name__', choice.system)}'"
         alone = name.rpartition(".")[2]
         setup = dataclasses.replace(self._setup, name=alone, settings=choice.settings)
-        fill = factory_of(name, self._scenario, factory)
+        fill = self._own.get(name) or factory_of(name, self._scenario, factory)
         made = _make_block(fill, setup, kind=kind_of(name), place=place)
         if made is None and name not in self._choices and name not in self._given:
             return

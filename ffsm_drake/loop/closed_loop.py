@@ -40,7 +40,7 @@ from ffsm_drake.loop.blocks import (
     WRENCH,
     make_blocks,
 )
-from ffsm_drake.scenario import MassProperties, Scenario, kind_of
+from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario, kind_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
 from ffsm_drake.spacecraft.nominal import (
     PlantModel,
@@ -105,6 +105,7 @@ class ClosedLoop:
     # signal -> the system and the name of its output port
     sources: Mapping[str, tuple[System, str]]
     parts: Parts = dataclasses.field(default_factory=dict)  # parts among ``blocks``
+    grip: Grip = HELD  # what holds the target
     diagram: Any = None  # the Diagram, after ``make_closed_loop``; its outputs are the signals
 
     @property
@@ -130,16 +131,16 @@ class ClosedLoop:
         # First: it resets every state and parameter of the diagram.
         root.SetRandomContext(root_context, RandomGenerator(scenario.random_seed))
         context = self.plant.GetMyMutableContextFromRoot(root_context)
-        set_true_masses(self.plant, context, scenario)
+        set_true_masses(self.plant, context, scenario, self.grip)
         for placed in self.parts.values():
             placed.part.check_plant(scenario, self.model(context))
-        self._tell("set_payload", root_context, scenario.carried.truth)
+        self._tell("set_payload", root_context, self.grip.carried(scenario.payload).truth)
         self.set_whole_state(root_context, state_at_start(scenario, self.model(context)))
 
     def true_model(self, scenario: Scenario) -> PlantModel:
         """Return the plant in a new context with a scenario's true masses."""
         context = self.plant.CreateDefaultContext()
-        set_true_masses(self.plant, context, scenario)
+        set_true_masses(self.plant, context, scenario, self.grip)
         return self.model(context)
 
     def model(self, plant_context: Context) -> PlantModel:
@@ -149,6 +150,7 @@ class ClosedLoop:
             context=plant_context,
             coordinates=self.coordinates,
             split=self.split,
+            grip=self.grip,
         )
 
     def set_payload(self, root_context: Context, properties: MassProperties) -> None:
@@ -229,6 +231,7 @@ def add_closed_loop(
     blocks: Mapping[str, Factory] | None = None,
     plant: MultibodyPlant | None = None,
     joint_force: np.ndarray | None = None,
+    grip: Grip = HELD,
 ) -> ClosedLoop:
     """Add the closed loop of a scenario to a Drake diagram.
 
@@ -241,6 +244,7 @@ def add_closed_loop(
         a new plant without geometry.
       joint_force: (joints), constant force of the joint actuators, which replaces the command, N m
         or N.
+      grip: what holds the target.
 
     Returns: the loop, without its diagram.
 
@@ -262,7 +266,7 @@ def add_closed_loop(
         plant = builder.AddNamedSystem("plant", make_plant(scenario.model, flexible=True))
     coordinates, split = coordinates_of(plant, undriven=scenario.undriven), split_of(plant)
     _check_coordinates(scenario, plant, coordinates)
-    nominal = make_nominal_plant(scenario)
+    nominal = make_nominal_plant(scenario, grip)
     blocks_by_name, parts = make_blocks(scenario, nominal, blocks, split)
     for system in blocks_by_name.values():
         builder.AddSystem(system)
@@ -276,6 +280,7 @@ def add_closed_loop(
         split=split,
         blocks=blocks_by_name,
         sources=wiring.sources,
+        grip=grip,
     )
 
 
@@ -288,7 +293,7 @@ def _check_coordinates(scenario: Scenario, plant: MultibodyPlant, coordinates: C
 
 
 def make_closed_loop(
-    scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None
+    scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None, grip: Grip = HELD
 ) -> ClosedLoop:
     """Build the closed loop of a scenario as a Drake diagram.
 
@@ -303,7 +308,7 @@ def make_closed_loop(
       True
     """
     builder = DiagramBuilder()
-    return build_closed_loop(builder, add_closed_loop(builder, scenario, blocks=blocks))
+    return build_closed_loop(builder, add_closed_loop(builder, scenario, blocks=blocks, grip=grip))
 
 
 def build_closed_loop(builder: DiagramBuilder, loop: ClosedLoop) -> ClosedLoop:

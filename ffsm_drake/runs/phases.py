@@ -22,7 +22,7 @@ from ffsm_drake.runs.ending import Outcome
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.runs.stage import DrakeStage, Stage
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import EMPTY, HELD, Grip, Scenario
 from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import reference_from
@@ -42,15 +42,14 @@ class Phase:
 
     Example:
       >>> from ffsm_drake import Phase
-      >>> Phase(names=(("stop", None),), holds=True).holds
-      True
+      >>> Phase(names=(("stop", None),)).grip.holds
+      False
     """
 
     # names of its samples in the record, one after another, with the sample at which each ends,
     # excluded; None: the end of the run
     names: tuple[tuple[str, int | None], ...] = ()
-    holds: bool = False  # whether the target is in the gripper
-    closed: float = 0.0  # s after the grasp; the hands that closed up to then hold the target
+    grip: Grip = EMPTY  # what holds the target
     scenario: Scenario | None = None  # with its plan; None: the scenario of the mission
     motion: PlannedMotion | None = None  # desired, over the run's time; None: from the plan
     # whether the approach begins where ``motion`` ends, not at ``capture.approach.posture``
@@ -115,7 +114,7 @@ class Stop(PhaseKind):
 
     def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
         """See PhaseKind."""
-        return Phase(names=(("stop", self.until),), holds=True), now
+        return Phase(names=(("stop", self.until),), grip=HELD), now
 
     def judge(self, now: Situation) -> tuple[str, Situation]:
         """See PhaseKind."""
@@ -146,17 +145,14 @@ class PhasedRollout:
     ) -> None:
         """Arguments and errors: see ``Rollout``."""
         self._blocks, self._scenario = blocks, scenario
-        # loops of phases that differ in nothing else: with an empty gripper (None), and with the
-        # hands on the target that have closed up to a time
-        self._loops = dict[float | None, Rollout]()
-        times = closing_times(scenario)
-        for closed in times:
-            plan = dataclasses.replace(scenario, closed=closed) if times[1:] else scenario
-            self._loops[closed] = Rollout(plan, blocks=blocks, meshcat=meshcat)
-            if closed == 0.0 and scenario.grasp_time > 0.0:
+        self._loops = dict[Grip, Rollout]()  # of phases that differ in nothing else
+        how: Any = {"blocks": blocks, "meshcat": meshcat}
+        for closed in closing_times(scenario):
+            grip = Grip(closed=closed)
+            self._loops[grip] = Rollout(scenario, grip=grip, **how)
+            if grip == HELD and scenario.grasp_time > 0.0:
                 show = None if meshcat is None else self.show(scenario)
-                plan = dataclasses.replace(plan, holds=False)
-                self._loops[None] = Rollout(plan, blocks=blocks, meshcat=meshcat, show=show)
+                self._loops[EMPTY] = Rollout(scenario, grip=EMPTY, show=show, **how)
 
     @staticmethod
     def show(scenario: Scenario) -> Show | None:
@@ -169,12 +165,12 @@ class PhasedRollout:
 
     def held(self, closed: float = 0.0) -> ClosedLoop:
         """The loop with the hands on the target that have closed up to a time after the grasp."""
-        return self._loops[closed].loop
+        return self._loops[Grip(closed=closed)].loop
 
     @property
     def loop(self) -> ClosedLoop:
         """The closed loop with all hands on the target."""
-        return self.held(max(time for time in self._loops if time is not None))
+        return self.held(closing_times(self._scenario)[-1])
 
     def release(self) -> None:
         """As ``Rollout.release``."""
@@ -183,12 +179,12 @@ class PhasedRollout:
 
     def accepts(self, scenario: Scenario) -> bool:
         """As ``Rollout.accepts``."""
-        return self._loops[0.0].accepts(plan_of(scenario, Phase(holds=True)))
+        return self._loops[HELD].accepts(scenario)
 
     def check(self) -> None:
         """As ``Rollout.check``."""
-        for closed in sorted(self._loops, key=lambda closed: (closed is not None, closed)):
-            self._loops[closed].check()
+        for grip in sorted(self._loops, key=lambda grip: (grip.holds, grip.closed)):
+            self._loops[grip].check()
 
     def run(self, scenario: Scenario | None = None, *, progress: Progress | None = None) -> RunLog:
         """As ``Rollout.run``; where a hand grasps, the log holds the velocity after it."""
@@ -200,7 +196,7 @@ class PhasedRollout:
 
         try:
             while (phase := course.plan()) is not None:
-                plan = plan_of(scenario, phase)
+                plan = phase.scenario or scenario
                 rollout = self._loop_of(phase, plan)
                 if rollout not in self._loops.values():
                     alone.append(rollout)
@@ -223,14 +219,9 @@ class PhasedRollout:
         if phase.motion is not None:
             own = {"reference": functools.partial(_along, phase.motion), **own}
         if not own and phase.scenario is None:
-            return self._loops[phase.closed if phase.holds else None]
-        return Rollout(plan, blocks={**(self._blocks or {}), **own}, joint_force=phase.joint_force)
-
-
-def plan_of(scenario: Scenario, phase: Phase) -> Scenario:
-    """Return the scenario of the loop of a phase."""
-    closed = phase.closed if len(closing_times(scenario)) > 1 else None
-    return dataclasses.replace(phase.scenario or scenario, holds=phase.holds, closed=closed)
+            return self._loops[phase.grip]
+        own = {**(self._blocks or {}), **own}
+        return Rollout(plan, blocks=own, joint_force=phase.joint_force, grip=phase.grip)
 
 
 def _leg(course: "Course", phase: Phase) -> Leg:

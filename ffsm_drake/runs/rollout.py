@@ -28,7 +28,7 @@ from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, Out
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.monitor import Monitor
 from ffsm_drake.runs.signals import SIGNALS
-from ffsm_drake.scenario import Scenario, kind_of, planned_part, scenario_to_dict
+from ffsm_drake.scenario import HELD, Grip, Scenario, kind_of, planned_part, scenario_to_dict
 from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.plant import add_combined_plant, cause_of
 from ffsm_drake.systems.controllers.law import ControlLaw
@@ -82,6 +82,7 @@ class Rollout:
         meshcat: Meshcat | None = None,
         show: Callable[[DiagramBuilder, ClosedLoop], None] | None = None,
         joint_force: np.ndarray | None = None,
+        grip: Grip = HELD,
     ) -> None:
         """Build the closed loop.
 
@@ -90,7 +91,7 @@ class Rollout:
           blocks: factories that replace blocks of the scenario, see ``add_closed_loop``.
           meshcat: shows the motion.
           show: adds the scene graph and the systems that move its bodies; default: from the plant.
-          joint_force: see ``add_closed_loop``.
+          joint_force, grip: see ``add_closed_loop``.
         """
         start = time.perf_counter()
         builder = DiagramBuilder()
@@ -105,6 +106,7 @@ class Rollout:
             blocks=blocks,
             plant=plant,
             joint_force=joint_force,
+            grip=grip,
         )
         if show is not None:
             show(builder, loop)
@@ -484,6 +486,6 @@ def make_rollout(
     methods. Arguments and errors: see ``Rollout``.
     """
     kind = service("capture_rollout", "capture") if scenario.grasps else Rollout
-    if scenario.closed is None and len(closing_times(scenario)) > 1:
+    if len(closing_times(scenario)) > 1:
         kind = service("later_hands_rollout", "contacts.closes")
     return kind(scenario, blocks=blocks, meshcat=meshcat)

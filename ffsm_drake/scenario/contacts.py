@@ -2,7 +2,8 @@
 chain.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ffsm_drake.common.settings import Problems, setting
@@ -13,6 +14,7 @@ from ffsm_drake.scenario.fields import (
     unitless,
     vector_in,
 )
+from ffsm_drake.scenario.model import NOTHING, Payload
 
 CONTACT_KINDS = ("rigid", "compliant")
 CHAIN_LAWS = ("minimal", "plain")
@@ -95,6 +97,28 @@ class Contact:
         "calibration error: true rotation vector from the target frame to the hand's frame; the "
         "controller assumes 0",
     )
+
+
+@dataclass(frozen=True)
+class Grip:
+    """What holds the target in a phase of a mission."""
+
+    holds: bool = True  # whether the target is in the gripper
+    # s after the grasp; the hands that closed up to then hold the target; None: as 0, but a motion
+    # is that of the whole mission
+    closed: float | None = 0.0
+
+    def carried(self, payload: Payload) -> Payload:
+        """The payload in the gripper: a given one, or nothing."""
+        return payload if self.holds else replace(payload, truth=NOTHING, nominal=NOTHING)
+
+    def closes(self, contact: Contact) -> bool:
+        """Whether a hand has closed on the target."""
+        return self.holds and contact.closes <= (self.closed or 0.0)
+
+
+HELD, EMPTY = Grip(), Grip(holds=False)
+WHOLE, ALL_HANDS = Grip(closed=None), Grip(closed=math.inf)
 
 
 @dataclass
@@ -206,12 +230,10 @@ def closing_times(scenario: Any) -> list[float]:
     return sorted({0.0, *(each.closes for each in scenario.contacts.values())})
 
 
-def closing_contacts(scenario: Any) -> dict[str, Contact]:
-    """Return the contacts that close a loop in the scenario's phase, without the weld."""
+def closing_contacts(scenario: Any, grip: Grip = HELD) -> dict[str, Contact]:
+    """Return the contacts that close a loop in a phase, without the weld."""
     return {
         name: contact
         for name, contact in scenario.contacts.items()
-        if contact.effector != scenario.model.end_effector
-        and scenario.holds
-        and contact.closes <= (scenario.closed or 0.0)
+        if contact.effector != scenario.model.end_effector and grip.closes(contact)
     }

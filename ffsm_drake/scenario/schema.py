@@ -29,7 +29,7 @@ from ffsm_drake.scenario.fields import (
 )
 from ffsm_drake.scenario.forces import Disturbance, Environment
 from ffsm_drake.scenario.layers import Layer, assembled, override_layers
-from ffsm_drake.scenario.model import NOTHING, MassProperties, Model, Payload, Posture
+from ffsm_drake.scenario.model import MassProperties, Model, Payload, Posture
 from ffsm_drake.scenario.phases import own_phases, phase_problems
 from ffsm_drake.scenario.reference import Planning, Reference
 from ffsm_drake.scenario.resolving import as_dict
@@ -149,10 +149,6 @@ class Scenario:
         None, "rate damping and a new plan if the plan cannot be followed; null: none"
     )
     faults: Faults | None = unitless(None, "faults of units, and their detection; null: none")
-    # No settings: a mission's own. False in its phases with an empty gripper; time after the grasp
-    # (s) up to which hands have closed in a phase, None: the whole mission
-    holds: bool = True
-    closed: float | None = None
 
     def __post_init__(self) -> None:
         if self.sample_time > 0.0:
@@ -247,11 +243,6 @@ class Scenario:
         if self.approach is not None:
             found["capture.approach.posture"] = self.approach.posture
         return found
-
-    @property
-    def carried(self) -> Payload:
-        """The payload in the gripper: ``payload``, or nothing."""
-        return self.payload if self.holds else replace(self.payload, truth=NOTHING, nominal=NOTHING)
 
     @property
     def wheels(self) -> Wheels | None:

@@ -14,7 +14,7 @@ from pydrake.systems.framework import Context
 
 from ffsm_drake.common.memo import each_once, memoized
 from ffsm_drake.common.products import applied
-from ffsm_drake.scenario import MassProperties, Model, Scenario
+from ffsm_drake.scenario import HELD, Grip, MassProperties, Model, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, joints_of, tracking_errors
 from ffsm_drake.spacecraft.mass_properties import set_masses, set_payload
 from ffsm_drake.spacecraft.plant import (
@@ -66,6 +66,7 @@ class PlantModel:
     coordinates: Coordinates
     # not trivial with ``make_flexible_plant`` only
     split: StateSplit = dataclasses.field(default_factory=StateSplit)
+    grip: Grip = HELD  # what holds the payload
 
     def calc_tracking_errors(
         self, desired: np.ndarray, actual: np.ndarray, num_positions: int
@@ -228,13 +229,14 @@ def damping_of(plant: MultibodyPlant) -> np.ndarray:
     return damping
 
 
-def make_nominal_plant(scenario: Scenario) -> PlantModel:
+def make_nominal_plant(scenario: Scenario, grip: Grip = HELD) -> PlantModel:
     """Return the model with the nominal payload (``payload.nominal``), as a controller uses it.
 
     Its mass matrix is Hhat.
 
     Args:
       scenario: the scenario.
+      grip: what holds the target; if nothing does, the model has no payload.
 
     Raises:
       ModelError: the model cannot be loaded.
@@ -244,14 +246,15 @@ def make_nominal_plant(scenario: Scenario) -> PlantModel:
       >>> make_nominal_plant(load_scenario("postcapture")).coordinates.joints
       ('joint_1', 'joint_2', 'joint_3', 'joint_4', 'joint_5')
     """
-    return _make(scenario, scenario.carried.nominal, nominal=True)
+    return _make(scenario, grip, nominal=True)
 
 
-def make_true_plant(scenario: Scenario) -> PlantModel:
+def make_true_plant(scenario: Scenario, grip: Grip = HELD) -> PlantModel:
     """Return the model with the true payload (``payload.truth``) and locked flexible parts.
 
     Args:
       scenario: the scenario.
+      grip: what holds the target; if nothing does, the model has no payload.
 
     Raises:
       ModelError: the model cannot be loaded.
@@ -264,27 +267,29 @@ def make_true_plant(scenario: Scenario) -> PlantModel:
       >>> round(float(model.calc_mass_matrix(q)[3, 3]), 6)  # kg, base, arm and target
       526.0
     """
-    return _make(scenario, scenario.carried.truth)
+    return _make(scenario, grip)
 
 
-def make_flexible_plant(scenario: Scenario) -> PlantModel:
+def make_flexible_plant(scenario: Scenario, grip: Grip = HELD) -> PlantModel:
     """Return the model with the true payload and the flexible parts of ``model.flexible``.
 
     Its q and v include the coordinates of flexible parts (``PlantModel.split``).
     """
-    model = _make(scenario, scenario.carried.truth, flexible=True)
+    model = _make(scenario, grip, flexible=True)
     _set_flexible(model.plant, model.context, scenario.model)
     return model
 
 
 def _make(
-    scenario: Scenario, payload: MassProperties, *, nominal: bool = False, flexible: bool = False
+    scenario: Scenario, grip: Grip, *, nominal: bool = False, flexible: bool = False
 ) -> PlantModel:
     plant = _parsed(scenario.model, model_files(scenario.model), flexible=flexible)
     context = plant.CreateDefaultContext()
-    set_masses(plant, context, scenario, payload, nominal=nominal)
-    coordinates = coordinates_of(plant, undriven=scenario.undriven)
-    return PlantModel(plant=plant, context=context, coordinates=coordinates, split=split_of(plant))
+    payload = grip.carried(scenario.payload)
+    properties = payload.nominal if nominal else payload.truth
+    set_masses(plant, context, scenario, properties, nominal=nominal)
+    coordinates, split = coordinates_of(plant, undriven=scenario.undriven), split_of(plant)
+    return PlantModel(plant=plant, context=context, coordinates=coordinates, split=split, grip=grip)
 
 
 @memoized(maxsize=8)  # parsing takes four times as long as a context with its masses
@@ -293,9 +298,11 @@ def _parsed(model: Model, files: tuple[Path, ...], *, flexible: bool) -> Multibo
     return make_plant(model, flexible=flexible)
 
 
-def set_true_masses(plant: MultibodyPlant, context: Context, scenario: Scenario) -> None:
+def set_true_masses(
+    plant: MultibodyPlant, context: Context, scenario: Scenario, grip: Grip
+) -> None:
     """Set true masses and springs of a plant with flexible parts in a new context."""
-    set_masses(plant, context, scenario, scenario.carried.truth)
+    set_masses(plant, context, scenario, grip.carried(scenario.payload).truth)
     _set_flexible(plant, context, scenario.model)
 
 

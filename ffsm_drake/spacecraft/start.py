@@ -20,7 +20,7 @@ def state_at_start(scenario: Scenario, model: PlantModel) -> np.ndarray:
     q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
     v = model.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
     state = model.split.whole(np.concatenate([q, v]))
-    if scenario.grasps and scenario.holds:
+    if scenario.grasps and model.grip.holds:
         state[model.plant.num_positions() :] += _after_grasp(scenario, model)
     if len(scenario.contacts) > 1:
         closed: np.ndarray = service("closed_chain_start", "contacts")(scenario, model, state)

@@ -20,7 +20,7 @@ from pydrake.systems.framework import System
 from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.guard import is_user_supplied, passes
 from ffsm_drake.common.numbers import number, percent
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import Grip, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -417,6 +417,10 @@ class Part:
     def of(cls, scenario: Scenario) -> "Part | None":
         """Return the part for a scenario's own section; None without that section."""
         return cls()
+
+    def held_by(self, grip: Grip) -> "Part | None":
+        """Return the part in a phase in which ``grip`` holds the target; None: it is absent."""
+        return self
 
     @classmethod
     def known_faults(

@@ -23,7 +23,7 @@ from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.plugins import service
-from ffsm_drake.scenario import Posture, Scenario, planned_part
+from ffsm_drake.scenario import WHOLE, Grip, Posture, Scenario, planned_part
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
@@ -91,8 +91,8 @@ class _MotionSource(LeafSystem):
         output.SetFromVector(self._motion.row(context.get_time()))
 
 
-def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
-    """Return the planned motion of a scenario.
+def make_motion(scenario: Scenario, coordinates: Coordinates, grip: Grip = WHOLE) -> PlannedMotion:
+    """Return the planned motion of a scenario, or of its phase with a grip.
 
     With a capture it starts at the velocity after the grasp of the nominal payload; without one,
     with the goal ``stop``, at ``initial_velocity``. Undriven
@@ -108,9 +108,9 @@ def make_motion(scenario: Scenario, coordinates: Coordinates) -> PlannedMotion:
     approach: PlannedMotion | None = None
     if scenario.grasp_time > 0.0:
         approach = service("planned_approach", "capture.approach")(scenario)
-        if not scenario.holds:
+        if not grip.holds:
             return approach
-    nominal = functools.cache(lambda: make_nominal_plant(scenario))  # few motions need it
+    nominal = functools.cache(lambda: make_nominal_plant(scenario, grip))  # few motions need it
     target = None if reference.goal == "stop" else scenario.target_posture
 
     def polynomial(
@@ -156,7 +156,9 @@ def _follow(
     the conservation of momentum. A closed chain's follow its target.
     """
     if len(scenario.contacts) > 1:
-        chain: PlannedMotion = service("closed_chain_motion", "contacts")(motion, scenario)
+        chain: PlannedMotion = service("closed_chain_motion", "contacts")(
+            motion, scenario, make_nominal()
+        )
         return chain
     if scenario.reference.frame is None and not scenario.undriven:
         return motion
@@ -187,13 +189,13 @@ def _follow(
     return resolved
 
 
-def timed(scenario: Scenario) -> Scenario:
+def timed(scenario: Scenario, grip: Grip = WHOLE) -> Scenario:
     """Return the scenario with a duration of ``auto`` replaced by seconds; errors as
     ``make_motion``.
     """
     if scenario.reference.duration is not None:
         return scenario
-    motion = make_motion(scenario, make_nominal_plant(scenario).coordinates)
+    motion = make_motion(scenario, make_nominal_plant(scenario).coordinates, grip)
     duration = motion.end - motion.begin
     # whole samples: restores the exact number after a difference
     if scenario.reference.kind != "optimal":
@@ -207,24 +209,19 @@ class PlannedReference(Part):
     """The section ``reference``."""
 
     def build(self, setup: BlockSetup) -> Diagram:
-        """Return the reference of a scenario."""
-        return make_reference(setup.scenario, setup.coordinates)
+        """Return a source of the planned motion, a function of time only.
 
-
-def make_reference(scenario: Scenario, coordinates: Coordinates) -> Diagram:
-    """Return a source of the planned motion, a function of time only.
-
-    Outputs:
-      desired_state: [q_d; v_d] (nq + nv).
-      desired_acceleration: time derivative of v_d (nv).
-      desired_frame: rows of FramePath (19), if the pose of a frame is prescribed.
-    """
-    planned = make_motion(scenario, coordinates)
-    return reference_from(planned, make_frame_motion(scenario, planned))
+        Outputs:
+          desired_state: [q_d; v_d] (nq + nv).
+          desired_acceleration: time derivative of v_d (nv).
+          desired_frame: rows of FramePath (19), if the pose of a frame is prescribed.
+        """
+        planned = make_motion(setup.scenario, setup.coordinates, setup.grip)
+        return reference_from(planned, make_frame_motion(setup.scenario, setup.nominal, planned))
 
 
 def reference_from(motion: PlannedMotion, frame: PlannedMotion | None = None) -> Diagram:
-    """``make_reference`` from the motion, and that of a frame whose pose is prescribed."""
+    """The reference of a motion, and that of a frame whose pose is prescribed."""
     builder, nv = DiagramBuilder(), len(motion.coordinates.names)
     source = builder.AddNamedSystem("motion", _MotionSource(motion))
     state = len(motion.coordinates.position_names) + nv
@@ -240,13 +237,13 @@ def reference_from(motion: PlannedMotion, frame: PlannedMotion | None = None) ->
     return reference
 
 
-def make_frame_motion(scenario: Scenario, planned: PlannedMotion) -> PlannedMotion | None:
+def make_frame_motion(
+    scenario: Scenario, nominal: PlantModel, planned: PlannedMotion
+) -> PlannedMotion | None:
     """Return the path of the frame whose pose is prescribed along a planned motion, if one is."""
     if not prescribes_frame(scenario):
         return None
-    path = make_frame_path(
-        scenario, make_nominal_plant(scenario), duration=planned.end - planned.begin
-    )
+    path = make_frame_path(scenario, nominal, duration=planned.end - planned.begin)
     return _FrameMotion(path, coordinates=planned.coordinates, sample_time=scenario.sample_time)
 
 

@@ -23,8 +23,7 @@ from ffsm_drake.common.errors import (
 )
 from ffsm_drake.common.guard import is_installed, passes, where
 from ffsm_drake.common.plugins import CONTROLLER_FILES, is_deleted, is_ours, load, optional
-from ffsm_drake.scenario import Scenario, kind_of, policy_parts
-from ffsm_drake.scenario.contacts import closing_contacts
+from ffsm_drake.scenario import HELD, Grip, Scenario, kind_of, policy_parts
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -62,7 +61,7 @@ SECTIONS: dict[str, Callable[[Scenario], Any]] = {
     "sensing.faults": lambda scenario: scenario.faults,
     "sensing.detection": lambda scenario: scenario.faults,
     "forces.disturbance": lambda _: True,
-    "forces.contacts": closing_contacts,
+    "forces.contacts": lambda scenario: len(scenario.contacts) > 1,
     "forces.environment": lambda scenario: scenario.environment,
     "forces.gripper": lambda scenario: scenario.closing,
     "forces.jam": lambda scenario: scenario.faults,
@@ -114,12 +113,13 @@ def _of_plugins(block: str) -> frozenset[str]:
 
 
 def section_parts(
-    scenario: Scenario, given: Iterable[str] = (), *, of: str = ""
+    scenario: Scenario, given: Iterable[str] = (), *, of: str = "", grip: Grip = HELD
 ) -> dict[str, Part]:
     """Return the parts of a scenario's own sections, by block and section; none for a block with
     another factory, such as those ``given``.
 
-    ``of``: only the parts within one block, such as the actuators of ``actuation``.
+    ``of``: only the parts within one block, such as the actuators of ``actuation``; ``grip``: those
+    in a phase.
     """
     filled = {*scenario.blocks.choices(), *given}
     found = {
@@ -129,7 +129,8 @@ def section_parts(
         and not filled & {name, kind_of(name)}
         and is_used(scenario)
     }
-    return {name: part for name, part in found.items() if part is not None}
+    held = {name: part.held_by(grip) for name, part in found.items() if part is not None}
+    return {name: part for name, part in held.items() if part is not None}
 
 
 def own_actuators(scenario: Scenario) -> list[Part]:

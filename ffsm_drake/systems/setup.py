@@ -9,7 +9,7 @@ import numpy as np
 from pydrake.systems.framework import Context, Diagram
 
 from ffsm_drake.common.errors import some
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import Grip, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
 
@@ -64,6 +64,11 @@ class BlockSetup:
         return self.nominal.coordinates
 
     @property
+    def grip(self) -> Grip:
+        """What holds the target."""
+        return self.nominal.grip
+
+    @property
     def sample_time(self) -> float:
         """The control period L, s."""
         return self.scenario.sample_time
@@ -71,4 +76,4 @@ class BlockSetup:
     @functools.cached_property
     def true(self) -> PlantModel:
         """The plant with the true payload, with its own context."""
-        return make_true_plant(self.scenario)
+        return make_true_plant(self.scenario, self.grip)

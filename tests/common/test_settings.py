@@ -160,10 +160,8 @@ def kinds(cls):
 def test_every_field_of_a_scenario_is_a_setting():
     found = kinds(Scenario)
     assert len(found) > 20
-    set_by_phases = {"holds", "closed"}  # no keys of a file
     for cls in found:
-        names = [field.name for field in dataclasses.fields(cls)]
-        assert list(settings_of(cls)) == [name for name in names if name not in set_by_phases], cls
+        assert list(settings_of(cls)) == [field.name for field in dataclasses.fields(cls)], cls
 
 
 def test_the_layouts_that_ship_are_the_choices():

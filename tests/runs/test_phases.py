@@ -9,7 +9,7 @@ from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.ending import DIVERGED
 from ffsm_drake.runs.phases import Mission, Phase, PhasedRollout, PhaseKind
 from ffsm_drake.runs.rollout import Rollout
-from ffsm_drake.scenario import load_scenario, override_scenario
+from ffsm_drake.scenario import EMPTY, HELD, load_scenario, override_scenario
 from ffsm_drake.systems.controllers import controller_factory
 
 SCENARIO = load_scenario("postcapture", ["duration=0.6", "reference.duration=10"])
@@ -33,8 +33,8 @@ class Given(PhaseKind):
 class TwoPhases(PhasedRollout):
     """A rollout that changes loops after 25 samples."""
 
-    first = Phase(names=(("one", 10), ("two", 25)), holds=True)
-    second = Phase(names=(("rest", None),), holds=True)
+    first = Phase(names=(("one", 10), ("two", 25)), grip=HELD)
+    second = Phase(names=(("rest", None),), grip=HELD)
     outcome = "done"
     legs = ()
 
@@ -84,11 +84,11 @@ def test_an_outcome_that_leads_nowhere_ends_the_run():
 def test_nothing_in_the_gripper_is_lighter():
     """The first force of a law with a model is that of the phase's own payload."""
     forces = {}
-    for holds in (True, False):
+    for grip in (HELD, EMPTY):
         rollout = TwoPhases(motion := _of_law("computed_torque"))
-        rollout.first = Phase(names=(("only", None),), scenario=motion, holds=holds)
-        forces[holds] = np.abs(rollout.run().series["generalized_force"][5:]).max(axis=0)
-    assert (forces[False][6:] < 0.7 * forces[True][6:]).all()
+        rollout.first = Phase(names=(("only", None),), scenario=motion, grip=grip)
+        forces[grip] = np.abs(rollout.run().series["generalized_force"][5:]).max(axis=0)
+    assert (forces[EMPTY][6:] < 0.7 * forces[HELD][6:]).all()
 
 
 @pytest.mark.parametrize("laws", [("tde_aismc", "pd_plus"), ("pd_plus", "tde_aismc")])

@@ -13,7 +13,7 @@ from ffsm_drake import BlockError, ScenarioError, load_scenario, override_scenar
 from ffsm_drake.common.settings import settings_of
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario.schema import FIXED_STEP_SCHEMES
-from ffsm_drake.systems.reference import make_reference
+from ffsm_drake.systems.reference import PlannedReference
 
 SCENARIO = load_scenario("flight_sensors", ["duration=1", "sensing.delay=2", "actuation.delay=1"])
 
@@ -115,7 +115,7 @@ def test_a_log_is_frozen(rollout):
 
 
 def scenario_reference(setup):
-    return make_reference(setup.scenario, setup.coordinates)
+    return PlannedReference().build(setup)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from ffsm_drake.common.numbers import percent, usable
 from ffsm_drake.plugins.actuators.plume import PlumeField, returned_shares
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION
-from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.part import HELD_FORCE, STEPS, Figure, Metric, Part, Signal, View
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -104,13 +103,13 @@ class _PlumeForce(LeafSystem):
         assert settings is not None
         assert settings.plume is not None
         units = thrusters_of(settings)
-        model = make_true_plant(scenario)
+        model = setup.true
         self._field = PlumeField(
             settings.plume,
             [*units.values()],
             model,
             scenario.model,
-            without=None if scenario.holds else scenario.payload.body,
+            without=None if setup.grip.holds else scenario.payload.body,
         )
         self._nq, nv = len(coordinates.position_names), len(coordinates.names)
         self._state = self.DeclareVectorInputPort("state", self._nq + nv)

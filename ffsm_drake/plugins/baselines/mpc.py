@@ -377,5 +377,5 @@ class Mpc(ControlLaw):
         """See ControlLaw. Raises ModelError also: a URDF's limits cannot be read."""
         urdf = urdf_limits(setup.scenario.model, setup.nominal.plant)
         limits = Limits.of(setup.scenario, setup.coordinates, urdf)
-        estimator = make_estimator(setup.scenario, setup.coordinates)
+        estimator = make_estimator(setup.scenario, setup.coordinates, grip=setup.grip)
         return cls(**field_values(cls, setup, limits=limits, estimator=estimator))

@@ -22,7 +22,7 @@ from ffsm_drake.plugins.design.stability.boundaries import (
     largest_payload,
 )
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
-from ffsm_drake.scenario import Scenario, scenario_from_yaml
+from ffsm_drake.scenario import Grip, Scenario, scenario_from_yaml
 from ffsm_drake.systems.reference import timed
 
 RADIUS, PAYLOAD, DELAY = "spectral_radius", "payload_factor", "delay_margin"
@@ -45,8 +45,8 @@ def law_figures(scenario: str) -> dict[str, float | None]:
     ``law_time``: processor time of the controller at one control sample, s.
     """
     try:
-        given = from_grasp(timed(scenario_from_yaml(scenario)))
-        edge = most_overestimated(PlannedDynamics(given))
+        given, grip = from_grasp(timed(scenario_from_yaml(scenario)))
+        edge = most_overestimated(PlannedDynamics(given, grip))
     except FfsmError:  # such as no motion within the limits
         return dict.fromkeys(FIGURES)
 
@@ -69,16 +69,16 @@ def law_figures(scenario: str) -> dict[str, float | None]:
         PAYLOAD: found(lambda: min(largest_payload(given, time=edge), LARGEST_FACTOR)),
         DELAY: found(delay),
         ERROR: found(lambda: find_limit(given).distance),
-        TIME: found(lambda: _law_time(given)),
+        TIME: found(lambda: _law_time(given, grip)),
     }
 
 
-def _law_time(scenario: Scenario) -> float:
+def _law_time(scenario: Scenario, grip: Grip) -> float:
     """Processor time of an update of the controller, s: lower quartile of the first control
     samples, or of those before Drake refuses a diverged state, which other work on the machine
     moves less than the mean.
     """
-    loop = make_closed_loop(scenario)
+    loop = make_closed_loop(scenario, grip=grip)
     simulator = Simulator(loop.diagram)
     ApplySimulatorConfig(scenario.simulator_config, simulator)
     context = simulator.get_mutable_context()

@@ -14,7 +14,7 @@ from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
 from ffsm_drake.plugins.capture.phases.own import with_phases
 from ffsm_drake.runs.limits import not_measured
-from ffsm_drake.scenario import Posture, Scenario
+from ffsm_drake.scenario import EMPTY, Posture, Scenario
 from ffsm_drake.scenario.capture import Approach
 from ffsm_drake.spacecraft.clearance import shapes_of
 from ffsm_drake.spacecraft.grasp import Contact
@@ -164,7 +164,7 @@ class Backwards(PlannedMotion):
 
 def planned_approach(scenario: Scenario) -> PlannedMotion:
     """The motion of a scenario up to the grasp; errors as ``approach_posture``, ``with_phases``."""
-    model = make_nominal_plant(dataclasses.replace(scenario, holds=True))
+    model = make_nominal_plant(scenario)
     motion = approach_motion(
         scenario, model, planned_contact(scenario, model), approach_posture(scenario)
     )
@@ -205,7 +205,7 @@ def shares_of(scenario: Scenario) -> Callable[[np.ndarray], float]:
     dv_d/dt] (n, nq + 2 nv) takes with an empty gripper; the same in either direction but for
     damping.
     """
-    model = make_nominal_plant(dataclasses.replace(scenario, holds=False))
+    model = make_nominal_plant(scenario, EMPTY)
     nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
     limit = actuation_limit(scenario, model.coordinates).upper
 

@@ -111,7 +111,7 @@ def servicer_velocity(
 
 def _hands(scenario: Scenario, model: PlantModel) -> list[Frame]:
     """The frames of the hands that grasp at once."""
-    others = closing_contacts(dataclasses.replace(scenario, closed=0.0, holds=True)).values()
+    others = closing_contacts(scenario).values()
     frames = [find_frame(model.plant, each.effector, key="contacts") for each in others]
     return [hand_frame(model.plant, scenario.model), *frames]
 

@@ -161,7 +161,7 @@ class Closing(Sampled):
         if capture is None or capture.closing is None:
             raise ValueError("capture.closing: there is none")
         closing, envelope = capture.closing, capture.envelope
-        model = make_flexible_plant(scenario)
+        model = make_flexible_plant(scenario, setup.grip)
         hand = hand_frame(model.plant, scenario.model)
         pose = payload_body(scenario, model).body_frame().CalcPose(model.context, hand).inverse()
         known = model.split.known_velocities(np.arange(model.plant.num_velocities()))

@@ -408,8 +408,8 @@ def _block(setup: BlockSetup, *, begin: float, waits: bool) -> Supervising:
         end_time=np.array(settings.end_time),
         sample_time=setup.sample_time,
         grasp_time=begin + scenario.grasp_time,
-        end=begin + (make_motion(scenario, coordinates).end if rest is None else rest),
-        is_empty=not scenario.holds,
+        end=begin + (make_motion(scenario, coordinates, setup.grip).end if rest is None else rest),
+        is_empty=not setup.grip.holds,
     )
 
 

@@ -24,7 +24,7 @@ from ffsm_drake.plugins.compiled.run import Case, Run, row_of
 from ffsm_drake.runs.ending import COMPLETED, Outcome
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.phases import Course, Phase, plan_of
+from ffsm_drake.runs.phases import Course, Phase
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
@@ -72,7 +72,7 @@ class LaneStage:
 
     def model(self) -> PlantModel:
         """See Stage."""
-        return make_flexible_plant(self.run.scenario)
+        return make_flexible_plant(self.run.scenario, self.run.case.nominal.grip)
 
     def context(self, block: str) -> Context:
         """See Stage."""
@@ -197,9 +197,10 @@ class MissionLane:
         if others := [name for name in phase.blocks if not _OWN.fullmatch(name)]:
             raise NotCovered(f"the block {min(others)} of a phase")
         first, last = self._course.sample, phase.names[-1][1]
-        plan = plan_of(self.scenario, phase)
+        plan = phase.scenario or self.scenario
         case = Case(
             plan,
+            phase.grip,
             first=first,
             last=last,
             motion=phase.motion,

@@ -23,7 +23,7 @@ from ffsm_drake.plugins.compiled.parameters import (
     rows_of,
 )
 from ffsm_drake.runs.engine import NotCovered
-from ffsm_drake.scenario import Block, MassProperties, Scenario, scenario_to_dict
+from ffsm_drake.scenario import HELD, Block, Grip, MassProperties, Scenario, scenario_to_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import Carrier, make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
@@ -61,8 +61,6 @@ _FREE = (
     "disturbance",
     "payload",
     "capture",
-    "holds",
-    "closed",
 )
 _PHASES = "phases."
 
@@ -73,6 +71,7 @@ class Case:
     def __init__(
         self,
         scenario: Scenario,
+        grip: Grip = HELD,
         *,
         further: int = 0,
         first: int = 0,
@@ -84,6 +83,7 @@ class Case:
     ) -> None:
         """Args:
         scenario: the scenario.
+        grip: what holds the target.
         further: samples after its end of which rows are known.
         first: sample of the run at which a phase begins.
         last: the sample after it; None: it lasts to the end.
@@ -94,7 +94,8 @@ class Case:
         """
         self.scenario, self._further, self._given = scenario, further, blocks
         self._given_motion, self._given_noise = motion, noise
-        self.true, self.nominal = make_flexible_plant(scenario), make_nominal_plant(scenario)
+        self.true = make_flexible_plant(scenario, grip)
+        self.nominal = make_nominal_plant(scenario, grip)
         self.coordinates: Coordinates = self.nominal.coordinates
         self._settled = settle_faults(scenario, self.coordinates)
         self.samples = scenario.num_control_periods + 1 + further
@@ -228,7 +229,7 @@ class Case:
         """The same with another seed."""
         scenario = dataclasses.replace(self.scenario, random_seed=seed)
         if scenario.faults is not None:
-            return Case(scenario, further=self._further)
+            return Case(scenario, self.nominal.grip, further=self._further)
         other = copy.copy(self)
         other.scenario = scenario
         vars(other).pop("noise", None)
@@ -308,12 +309,14 @@ class Case:
         """
         scenario, found = self._settled, dict[str, Any]()
         choices = scenario.blocks.choices()
-        for block in dict.fromkeys((*section_parts(scenario), *choices, *self._given)):
+        parts = section_parts(scenario, grip=self.nominal.grip)
+        for block in dict.fromkeys((*parts, *choices, *self._given)):
             first, _, name = block.partition(".")
             if first != kind or not name or block == DISTURBANCE:
                 continue
             choice = choices.get(block, Block())
-            factory = self._given.get(block) or factory_of(block, scenario)
+            given = self._given.get(block) or parts.get(block)
+            factory = given or factory_of(block, scenario)
             setup, place = self._setup(name, choice.settings), f"blocks.{block} '{choice.system}'"
             made = call_factory(factory, setup, place=place)
             if isinstance(factory, Part) and kind == "forces":
@@ -378,7 +381,7 @@ class Case:
     @functools.cached_property
     def motion(self) -> PlannedMotion:
         """The reference."""
-        return self._given_motion or make_motion(self.scenario, self.coordinates)
+        return self._given_motion or make_motion(self.scenario, self.coordinates, self.nominal.grip)
 
     @functools.cached_property
     def times(self) -> np.ndarray:
@@ -403,7 +406,7 @@ class Case:
             made["reference"] = np.hstack(plan)
             if watch and "abort_request" in self._followed:
                 made["request"] = self._followed["abort_request"]
-        if (path := make_frame_motion(self.scenario, self.motion)) is not None:
+        if (path := make_frame_motion(self.scenario, self.nominal, self.motion)) is not None:
             made["frame"] = path.rows(times)
         found = {name: np.zeros((self.samples, values.shape[1])) for name, values in made.items()}
         for name, values in made.items():
@@ -509,16 +512,16 @@ def row_of(memory: Mapping[str, np.ndarray]) -> np.ndarray:
 _cases: collections.OrderedDict[Any, tuple[Scenario, Case]] = collections.OrderedDict()
 
 
-def case_of(scenario: Scenario) -> Case:
-    """Return what scenarios share that differ in their controllers at most. The last ones without
-    blocks of a user are kept, for the predictions of their runs.
+def case_of(scenario: Scenario, grip: Grip = HELD) -> Case:
+    """Return what phases share whose scenarios differ in their controllers at most. The last ones
+    without blocks of a user are kept, for the predictions of their runs.
     """
     if scenario.blocks.choices():
-        return Case(scenario)
+        return Case(scenario, grip)
     shared = dataclasses.replace(scenario, controller="")
-    key = scenario.random_seed, content_of(files_read(scenario))
+    key = grip, scenario.random_seed, content_of(files_read(scenario))
     if key not in _cases or _cases[key][0] != shared:
-        _cases[key] = shared, Case(scenario)
+        _cases[key] = shared, Case(scenario, grip)
         if len(_cases) > _KEPT:
             _cases.popitem(last=False)
     return _cases[key][1]

@@ -18,7 +18,7 @@ from ffsm_drake.plugins.compiled.loop import kept_at, phases_of
 from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of, rows_of
 from ffsm_drake.plugins.compiled.run import Run, case_of
 from ffsm_drake.runs.engine import NotCovered
-from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.systems.reference import make_frame_motion
 
@@ -44,23 +44,23 @@ class TracedSample:
     measurements, and what drifts in the sensors.
     """
 
-    def __init__(self, scenario: Scenario, given: Scenario) -> None:
-        """Args: the scenario, and one whose run is used if it differs in ``actuation.limit`` alone.
-        Raises NotCovered.
+    def __init__(self, scenario: Scenario, given: Scenario, grip: Grip = HELD) -> None:
+        """Args: the scenario, and one whose run is used if it differs in ``actuation.limit`` alone;
+        what holds the target. Raises NotCovered.
         """
         Compiled().check(scenario)
         unlimited = dataclasses.replace(given.actuation, limit=scenario.actuation.limit)
         is_alike = dataclasses.replace(given, actuation=unlimited) == scenario
         own = given if is_alike else scenario
-        run = case_of(own).run(own)
+        run = case_of(own, grip).run(own)
         if run.blocks.called:
             raise NotCovered(run.blocks.called)
         if scenario.actuation.wheels is not None:
             raise NotCovered("wheels")
         if scenario.blocks.choices() or scenario.supervisor is not None:
             raise NotCovered("blocks of a user, or a supervisor")
-        self._scenario, self.motion = scenario, run.case.motion
-        self._frame = make_frame_motion(scenario, self.motion)
+        self._scenario, self._nominal, self.motion = scenario, run.case.nominal, run.case.motion
+        self._frame = make_frame_motion(scenario, self._nominal, self.motion)
         self.key, self.law, self.coordinates = run.key, run.law, run.coordinates
         self.sample_time = scenario.sample_time  # s
         blocks = run.blocks
@@ -183,7 +183,9 @@ class TracedSample:
         payload = self._scenario.payload
         if truth is not None:
             payload = dataclasses.replace(payload, truth=truth)
-        return make_flexible_plant(dataclasses.replace(self._scenario, payload=payload))
+        return make_flexible_plant(
+            dataclasses.replace(self._scenario, payload=payload), self._nominal.grip
+        )
 
     def _filled(self, code: Step) -> np.ndarray:
         """Cells with the parameters of the run."""
@@ -213,10 +215,10 @@ class TracedSample:
         return cells[first : first + size]
 
 
-def traced_sample(scenario: Scenario, given: Scenario) -> TracedSample | None:
-    """Return the sample of a scenario; None: it is not covered. Args: see ``TracedSample``."""
+def traced_sample(scenario: Scenario, given: Scenario, grip: Grip) -> TracedSample | None:
+    """Return the sample of a phase; None: it is not covered. Args: see ``TracedSample``."""
     try:
-        return TracedSample(scenario, given)
+        return TracedSample(scenario, given, grip)
     except FfsmError:
         return None
 

@@ -79,11 +79,11 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
     Raises: the errors of ``Linearizer`` and ``Linearizer.at``; BlockError for a controller tracking
     a frame; FfsmError for a run of one control period (its demand has no rate).
     """
-    scenario = from_grasp(scenario)
+    scenario, grip = from_grasp(scenario)
     if scenario.num_control_periods < 2:
         raise FfsmError("the limit needs two control periods; lengthen duration")
     demand = make_demand(scenario) if demand is None else demand
-    planned, step = PlannedDynamics(scenario), scenario.sample_time
+    planned, step = PlannedDynamics(scenario, grip), scenario.sample_time
     count = scenario.num_control_periods
     time = planned.motion.part(0.5)
     mass, _ = planned.mass_matrices(time, locked=True)

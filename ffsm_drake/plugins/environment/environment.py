@@ -196,5 +196,8 @@ class OrbitalEnvironment(Part):
         locked = setup.scenario
         for part in own_actuators(locked):
             locked = part.locked(locked)
-        settings, model = locked.environment or Environment(), make_flexible_plant(locked)
+        settings, model = (
+            locked.environment or Environment(),
+            make_flexible_plant(locked, setup.grip),
+        )
         return EnvironmentForce(force=orbital_force(settings, model), carrier=Carrier(locked))

@@ -47,7 +47,7 @@ from ffsm_drake.plugins.estimators.filter_gains import (
     kalman_gain,
     late_gains,
 )
-from ffsm_drake.scenario import Scenario, planned_part
+from ffsm_drake.scenario import Grip, Scenario, planned_part
 from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_POSITIONS,
     NUM_BASE_VELOCITIES,
@@ -82,12 +82,16 @@ class KalmanEstimator(Estimator):
 
     @classmethod
     def make(
-        cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
+        cls,
+        scenario: Scenario,
+        coordinates: Coordinates,
+        jacobian: np.ndarray | None,
+        grip: Grip,
     ) -> "KalmanEstimator | LateKalmanEstimator":
         axes, step = _axes(scenario, coordinates), scenario.sample_time
         of_base = jacobian is None and _axes_matter(axes)
         if of_base or not all(axis.is_plain for axis in axes):
-            return LateKalmanEstimator.make(scenario, coordinates, jacobian)
+            return LateKalmanEstimator.make(scenario, coordinates, jacobian, grip)
         noises = np.array([[axis.position_noise, axis.velocity_noise, axis.walk] for axis in axes])
         if jacobian is not None:
             noises = np.sqrt(jacobian**2 @ noises**2)
@@ -146,7 +150,11 @@ class LateKalmanEstimator(Estimator):
 
     @classmethod
     def make(
-        cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
+        cls,
+        scenario: Scenario,
+        coordinates: Coordinates,
+        jacobian: np.ndarray | None,
+        grip: Grip,
     ) -> Self:
         axes, solve = _axes(scenario, coordinates), functools.cache(late_gains)
         gains = [solve(axis, sample_time=scenario.sample_time) for axis in axes]
@@ -285,7 +293,11 @@ class CoupledEstimator(Estimator):
 
     @classmethod
     def make(
-        cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
+        cls,
+        scenario: Scenario,
+        coordinates: Coordinates,
+        jacobian: np.ndarray | None,
+        grip: Grip,
     ) -> Self:
         sensed = _axes(scenario, coordinates)
         if not all(axis.is_prompt for axis in sensed) or len(set(sensed[:3])) > 1:
@@ -300,6 +312,7 @@ class CoupledEstimator(Estimator):
         bias_walk = np.array([axis.bias_walk for axis in sensed])
         postures, gain = _gains_along(
             planned_part(scenario),
+            grip,
             files_read(scenario),
             axes=axes,
             position_noise=position[axes],
@@ -307,7 +320,7 @@ class CoupledEstimator(Estimator):
             walk=walk[axes],
             bias_walk=bias_walk[axes],
         )
-        separate = KalmanEstimator.make(scenario, coordinates, None)
+        separate = KalmanEstimator.make(scenario, coordinates, None, grip)
         biased = axes[bias_walk[axes] > 0.0]
         return cls(separate=separate, axes=axes, biased=biased, postures=postures, gain=gain)
 
@@ -433,21 +446,25 @@ def _axes(scenario: Scenario, coordinates: Coordinates) -> list[SensedAxis]:
 
 @memoized(maxsize=16)  # a run's check, the run and its report make the same law
 def _gains_along(
-    scenario: Scenario, files: tuple[Path, ...], *, axes: np.ndarray, **noises: np.ndarray
+    scenario: Scenario,
+    grip: Grip,
+    files: tuple[Path, ...],
+    *,
+    axes: np.ndarray,
+    **noises: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Postures (m, nq) of a scenario's plan, with the coupled gain of each (m, 3 n, 2 n).
 
-    With a capture it is the plan of one leg: up to the grasp with an empty gripper, else from there
-    on. The relative eigenvalues of the inertias of neighbours stay within ``_NEIGHBOURS``, if
-    ``_MOST_POSTURES`` are enough.
+    With a capture it is the plan of the phase with ``grip``. The relative eigenvalues of the
+    inertias of neighbours stay within ``_NEIGHBOURS``, if ``_MOST_POSTURES`` are enough.
 
     Args:
       scenario: its model and plan are made from ``files``.
       files: files of model and plan, for the cache.
       axes, noises: arguments of ``coupled_gain``.
     """
-    model = driven_model(make_nominal_plant(scenario))
-    motion = make_motion(scenario, model.coordinates)
+    model = driven_model(make_nominal_plant(scenario, grip))
+    motion = make_motion(scenario, model.coordinates, grip)
     q = motion.rows(np.linspace(motion.begin, motion.end, _INSTANTS))[
         :, : len(model.coordinates.position_names)
     ]

@@ -157,9 +157,10 @@ class Detector(Sampled):
         self._model, self._names = setup.nominal, _units(scenario, coordinates)
         self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)
         # the nominal payload changes at a grasp
-        self._leg = float(scenario.carried.nominal.mass)
-        self._models = [self._model, *_extremes(scenario, self._settings.payload_factor)]
-        held = scenario.carried.nominal
+        held = setup.grip.carried(scenario.payload).nominal
+        self._leg = float(held.mass)
+        factor = self._settings.payload_factor if setup.grip.holds else 1.0
+        self._models = [self._model, *_extremes(scenario, factor)]
         self._payload = (scenario.payload.body, held.mass, 0.5 * sum(held.inertia[:3]))
         self._damping = damping_of(self._model.plant)
         self._is_flexible = bool(scenario.model.flexible)
@@ -735,9 +736,9 @@ def _flat(memory: Memory) -> Memory:
 
 
 def _extremes(scenario: Scenario, factor: float) -> list[PlantModel]:
-    """The models with the lightest and the heaviest payload; of an empty gripper none."""
+    """The models with the lightest and the heaviest payload."""
     payload = scenario.payload
-    if not scenario.holds or factor == 1.0:
+    if factor == 1.0:
         return []
     models = []
     for share in (1.0 / factor, factor):

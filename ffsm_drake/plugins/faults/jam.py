@@ -32,7 +32,7 @@ class JammedJoints(BreakingPart):
     def build(self, setup: BlockSetup) -> "Jam":
         """The force of the jam."""
         scenario, coordinates = setup.scenario, setup.coordinates
-        model, since = make_flexible_plant(scenario), dict[str, float]()
+        model, since = make_flexible_plant(scenario, setup.grip), dict[str, float]()
         order = coordinates.joints.index
         for name, fault in sorted(hits(scenario, "joints"), key=lambda hit: order(hit[0])):
             time = first_sample(fault, setup.sample_time) * setup.sample_time

@@ -30,7 +30,7 @@ from ffsm_drake.plugins.new.hands import Hands
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
 from ffsm_drake.plugins.new.urdf.target import Target
 from ffsm_drake.runs.rollout import make_rollout
-from ffsm_drake.scenario import Scenario, scenario_from_dict
+from ffsm_drake.scenario import EMPTY, Grip, Scenario, scenario_from_dict
 from ffsm_drake.scenario.actuation import Thrusters, Wheel, thrusters_of
 from ffsm_drake.spacecraft.clearance import Clearance, Nearest
 from ffsm_drake.spacecraft.coordinates import (
@@ -379,7 +379,7 @@ class Draft:
 
     def _planned(self, **changes: Any) -> PlannedDynamics:
         """Return the motion after the grasp, without disturbance."""
-        return PlannedDynamics(from_grasp(self._scenario(disturbance={}, **changes)))
+        return PlannedDynamics(*from_grasp(self._scenario(disturbance={}, **changes)))
 
     def _disturb(self) -> None:
         """Choose a harmonic disturbance for each driven coordinate.
@@ -465,9 +465,9 @@ class Draft:
         """Return the largest forces (nv) of perfect tracking of the planned motion, N m or N."""
         return _peaks(self._planned())
 
-    def _at_postures(self, *, holds: bool) -> Iterator[np.ndarray]:
+    def _at_postures(self, grip: Grip) -> Iterator[np.ndarray]:
         """Yield the mass matrices (nv, nv) in the postures, with the target or without."""
-        model = make_true_plant(dataclasses.replace(self.scenario, holds=holds))
+        model = make_true_plant(self.scenario, grip)
         for key, each in self.scenario.postures.items():
             yield model.calc_mass_matrix(configuration(model.plant, each, key=key))
 
@@ -481,7 +481,7 @@ class Draft:
             return
         joints, free = slice(NUM_BASE_VELOCITIES, None), list[np.ndarray]()
         for held in {True, self.asked.capture is None}:
-            for matrix in self._at_postures(holds=held):
+            for matrix in self._at_postures(Grip(held)):
                 free.append(np.linalg.inv(matrix)[joints, joints])
         for step_size, rate in itertools.product(_STEP_SIZES, _SMOOTHED):
             config["max_step_size"], drives["smoothing_rate"] = step_size, rate
@@ -550,7 +550,7 @@ class Draft:
             most = np.sqrt(left / _effective_inertia(matrices).max(axis=0) / noise / _NOISES)
         for part in coordinates.groups.values():
             omega[part] = np.minimum(omega[part], most[part].min(initial=np.inf))
-        alone = [] if self.asked.capture is None else list(self._at_postures(holds=False))
+        alone = [] if self.asked.capture is None else list(self._at_postures(EMPTY))
         for k in range(_TRIES):
             with step(f"bandwidth {k + 1} of at most {_TRIES}"):
                 self._put_gains(omega, np.array([*matrices, *alone]))

@@ -21,7 +21,7 @@ from pydrake.systems.controllers import DiscreteTimeLinearQuadraticRegulator
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.so3 import quaternion_rate, skew
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import Grip, Scenario
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, files_read
@@ -100,22 +100,22 @@ class Tvlqr(ControlLaw):
             )
         law = cls(**field_values(cls, setup))
         scenario = dataclasses.replace(setup.scenario, random_seed=0, description="")
-        gains = _gains_of(scenario, setup.settings, files_read(scenario))
+        gains = _gains_of(scenario, setup.grip, setup.settings, files_read(scenario))
         return dataclasses.replace(law, gains=gains)
 
 
 @memoized(maxsize=4)  # used by a run, its prediction and its stability
 def _gains_of(
-    scenario: Scenario, settings: Mapping[str, Any], files: tuple[Path, ...]
+    scenario: Scenario, grip: Grip, settings: Mapping[str, Any], files: tuple[Path, ...]
 ) -> np.ndarray:
     """K_k (samples, nv, 2 nv) until the end of the planned motion, which depends on ``files``."""
-    model = driven_model(make_nominal_plant(scenario))
+    model = driven_model(make_nominal_plant(scenario, grip))
     setup = BlockSetup(
         name=scenario.controller, scenario=scenario, nominal=model, settings=settings
     )
     law, motion, period = (
         Tvlqr(**field_values(Tvlqr, setup)),
-        make_motion(scenario, model.coordinates),
+        make_motion(scenario, model.coordinates, grip),
         scenario.sample_time,
     )
     last, nv = max(1, round(motion.end / period)), law.error_size.size

@@ -19,7 +19,7 @@ from pydrake.systems.framework import Context
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.so3 import matrix_of, quaternion_of
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import HELD, Grip, Scenario
 from ffsm_drake.scenario.contacts import Contact, closing_contacts
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.plant import base_body, find_frame
@@ -51,10 +51,13 @@ class Loop:
 class ClosedChain:
     """The loops of a plant; quantities at the state in a context of it."""
 
-    def __init__(self, plant: MultibodyPlant, scenario: Scenario, *, true: bool) -> None:
+    def __init__(
+        self, plant: MultibodyPlant, scenario: Scenario, grip: Grip = HELD, *, true: bool
+    ) -> None:
         """Args:
           plant: the plant, with flexible parts or without.
           scenario: the scenario, which names the contacts.
+          grip: the hands that hold the target.
           true: whether the contacts have their calibration errors.
 
         Raises:
@@ -62,7 +65,7 @@ class ClosedChain:
           ScenarioError: an arm has two contacts, or too few joints; a frame is not on the target.
         """
         self.plant = plant
-        closing = closing_contacts(scenario)
+        closing = closing_contacts(scenario, grip)
         paths = {
             name: _joints_to(
                 plant, find_frame(plant, contact.effector, key=f"contacts.{name}.effector")

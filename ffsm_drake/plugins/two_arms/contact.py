@@ -30,9 +30,9 @@ from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.numbers import short
 from ffsm_drake.loop import blocks
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
-from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.scenario import Grip, MassProperties, Scenario
 from ffsm_drake.scenario.capture import Envelope
-from ffsm_drake.scenario.contacts import WRENCH, Contact, closing_contacts
+from ffsm_drake.scenario.contacts import ALL_HANDS, WRENCH, Contact, closing_contacts
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.spacecraft.nominal import change_payload, damping_of, make_flexible_plant
@@ -80,10 +80,14 @@ class Contacts(Part):
     contacts: Mapping[str, Contact] = dataclasses.field(default_factory=dict)
 
     @classmethod
-    def of(cls, scenario: Scenario) -> "Contacts | None":
-        """The contacts that close a loop; None without any."""
-        contacts = closing_contacts(scenario)
-        return cls(contacts=contacts) if contacts else None
+    def of(cls, scenario: Scenario) -> "Contacts":
+        """The contacts that close a loop."""
+        return cls(contacts=closing_contacts(scenario, ALL_HANDS))
+
+    def held_by(self, grip: Grip) -> "Contacts | None":
+        """The contacts that close a loop in a phase; None without any."""
+        contacts = {name: each for name, each in self.contacts.items() if grip.closes(each)}
+        return Contacts(contacts=contacts) if contacts else None
 
     def build(self, setup: BlockSetup) -> LeafSystem:
         """The force of the contacts."""
@@ -267,11 +271,11 @@ class ContactForce(Diagram):
             builder.ExportOutput(parts.get_output_port(index), name)
         builder.ExportOutput(gap, GAP)
         self._made = list[ConstantVectorSource]()
-        if any(each.closes for each in closing_contacts(setup.scenario).values()):
+        if any(each.closes for each in self._contact.contacts):
             for name, values in ((CLOSING, np.zeros(len(_CLOSING))), (LOSS, np.zeros(1))):
                 self._made.append(builder.AddSystem(ConstantVectorSource(values)))
                 builder.ExportOutput(self._made[-1].get_output_port(), name)
-        measured, noise = parts.get_output_port(1), _noise(setup.scenario)
+        measured, noise = parts.get_output_port(1), _noise(self._contact.contacts)
         if noise.any():
             period = setup.scenario.sample_time
             samples = builder.AddSystem(RandomSource(RandomDistribution.kGaussian, size, period))
@@ -318,9 +322,8 @@ class ContactForce(Diagram):
         return after
 
 
-def _noise(scenario: Scenario) -> np.ndarray:
+def _noise(contacts: Sequence[Contact]) -> np.ndarray:
     """Standard deviations of the wrenches' noise (6 for each contact)."""
-    contacts = closing_contacts(scenario).values()
     return np.repeat([[each.moment_noise, each.force_noise] for each in contacts], 3)
 
 
@@ -336,10 +339,12 @@ class _Contact(LeafSystem):
 
     def __init__(self, setup: BlockSetup) -> None:
         super().__init__()
-        self._scenario, self._model = setup.scenario, make_flexible_plant(setup.scenario)
+        self._scenario, grip = setup.scenario, setup.grip
+        self._model = make_flexible_plant(setup.scenario, grip)
         coordinates, split = setup.coordinates, self._model.split
         plant = self._model.plant
-        self._chain = ClosedChain(plant, setup.scenario, true=True)
+        self._chain = ClosedChain(plant, setup.scenario, grip, true=True)
+        self.contacts = [loop.contact for loop in self._chain.loops]
         self._places = self._chain.loops
         nv, nq = len(coordinates.names), len(coordinates.position_names)
         self._split, self._known = split, split.known if split.names else None

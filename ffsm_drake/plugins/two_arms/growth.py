@@ -11,7 +11,7 @@ import numpy as np
 
 from ffsm_drake.common.numbers import counted, short
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import HELD, Grip, Scenario
 from ffsm_drake.spacecraft.coordinates import position_error
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import coordinates_of
@@ -43,7 +43,7 @@ class Growth:
         return size
 
 
-def growth(scenario: Scenario, law: ControlLaw, q: np.ndarray) -> Growth:
+def growth(scenario: Scenario, law: ControlLaw, q: np.ndarray, grip: Grip = HELD) -> Growth:
     """The growth of the internal force at rest, without noise and disturbance.
 
     The chain moves exactly, with its dynamics at q; the law sees its errors and rates.
@@ -52,9 +52,10 @@ def growth(scenario: Scenario, law: ControlLaw, q: np.ndarray) -> Growth:
       scenario: the scenario, with its calibration errors.
       law: the law.
       q: the reference's configuration (nq).
+      grip: the hands that hold the target.
     """
     model, period = make_true_plant(scenario), scenario.sample_time
-    chain = ClosedChain(model.plant, scenario, true=True)
+    chain = ClosedChain(model.plant, scenario, grip, true=True)
     error, is_example = _calibration(scenario, chain, q)
     model.plant.SetPositions(model.context, chain.closed(q, model.context))
     A, H = chain.jacobian(model.context), model.plant.CalcMassMatrix(model.context)
@@ -96,9 +97,11 @@ def _calibration(scenario: Scenario, chain: ClosedChain, q: np.ndarray) -> tuple
     return error, True
 
 
-def growth_in_words(scenario: Scenario, law: ControlLaw, q: np.ndarray, poles: int) -> str:
+def growth_in_words(
+    scenario: Scenario, law: ControlLaw, q: np.ndarray, grip: Grip, poles: int
+) -> str:
     """The growth in one sentence; arguments as ``growth``, with the number of poles at one."""
-    found = growth(scenario, law, q)
+    found = growth(scenario, law, q, grip)
     errors = "calibration errors"
     if found.is_example:
         errors = "calibration errors, such as 1 mrad of each joint of an arm"

@@ -11,7 +11,6 @@ its memory, in the velocities of the chain.
 
 import dataclasses
 import functools
-import math
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,7 @@ from ffsm_drake.runs.phases import Mission, Phase, PhasedRollout, Show, Situatio
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.capture import Envelope
-from ffsm_drake.scenario.contacts import closing_contacts, closing_times
+from ffsm_drake.scenario.contacts import ALL_HANDS, Grip, closing_contacts, closing_times
 
 _BLOCK, _FORCE, _OTHER = "forces.contacts", "force_contacts", "force_disturbance"
 
@@ -77,7 +76,7 @@ class Hand(Stop):
         beyond = _contact(block).beyond(now.stage.state, envelope)
         if not beyond:
             names = (("stop", self.until),)
-            return Phase(names=names, holds=True, closed=self.time, afresh=(_BLOCK,)), now
+            return Phase(names=names, grip=Grip(closed=self.time), afresh=(_BLOCK,)), now
         (name, *_) = (name for name, each in scenario.contacts.items() if each.closes == self.time)
         at = f"t = {now.sample * scenario.sample_time:g} s"
         missed = f"the hand of contacts.{name} misses its place at {at}: {beyond}"
@@ -103,7 +102,7 @@ def _contact(block: Any) -> ContactForce:
 
 def _complete(scenario: Scenario, logs: tuple[RunLog, ...]) -> tuple[RunLog, ...]:
     """The logs of the phases with the series of open hands, which are zero."""
-    closing = closing_contacts(dataclasses.replace(scenario, closed=math.inf))
+    closing = closing_contacts(scenario, ALL_HANDS)
     names, last = list(closing), logs[-1]
     # of the hands that grasp at once, in phases before the first late one
     known = {name for log in logs if CLOSING not in log.series for name in log.series}

@@ -298,15 +298,15 @@ def make_in_chain(setup: BlockSetup, make: Callable[[BlockSetup], Any]) -> Contr
       ScenarioError: a contact is compliant; see ClosedChain.
     """
     scenario, nominal = setup.scenario, setup.nominal
-    for name, contact in closing_contacts(scenario).items():
+    for name, contact in closing_contacts(scenario, setup.grip).items():
         if contact.kind == "compliant":
             raise ScenarioError(
                 f"contacts.{name}.kind",
                 "compliant does not go with chain.law: minimal, which takes the chain for rigid; "
                 "set chain.law: plain",
             )
-    chain = ClosedChain(nominal.plant, scenario, true=False)
-    shared = {name: getattr(nominal, name) for name in ("plant", "context", "coordinates", "split")}
+    chain = ClosedChain(nominal.plant, scenario, setup.grip, true=False)
+    shared = {each.name: getattr(nominal, each.name) for each in dataclasses.fields(PlantModel)}
     tree = TreeModel(**shared, chain=chain)
     model = _minimal_model(scenario, tree)
     following = set(tree.coordinates.names) - set(model.coordinates.names)
@@ -374,9 +374,9 @@ def _minimal_model(scenario: Scenario, tree: TreeModel) -> ChainModel:
     """The minimal velocities: all but joints of the closing arms, chosen where the hands grasp so
     that the others move them the least.
     """
-    if scenario.closed:  # where the last hand grasps
-        time = scenario.grasp_time + scenario.closed
-        q = make_motion(scenario, tree.coordinates).evaluate(time)[0]
+    if tree.grip.closed:  # where the last hand grasps
+        time = scenario.grasp_time + tree.grip.closed
+        q = make_motion(scenario, tree.coordinates, tree.grip).evaluate(time)[0]
     else:
         q = configuration(tree.plant, scenario.initial_posture, key="initial_posture")
     tree.plant.SetPositions(tree.context, tree.chain.closed(q, tree.context))
@@ -401,6 +401,7 @@ def _minimal_model(scenario: Scenario, tree: TreeModel) -> ChainModel:
         context=tree.context,
         coordinates=fewer,
         split=tree.split,
+        grip=tree.grip,
         tree=tree,
         free=_as_slice(free),
         following=_as_slice(chosen),

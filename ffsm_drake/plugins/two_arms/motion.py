@@ -11,7 +11,6 @@ arm's joints, with the position, velocity and acceleration of the chain's motion
 """
 
 import dataclasses
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,7 @@ from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.so3 import matrix_of, quaternion_of, rotation_error
 from ffsm_drake.plugins.two_arms.chain import LONGEST_STEP, ClosedChain, Loop
 from ffsm_drake.scenario import Reference, Scenario
-from ffsm_drake.scenario.contacts import closing_times
+from ffsm_drake.scenario.contacts import ALL_HANDS, closing_times
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, find_body, model_files
@@ -46,15 +45,15 @@ SINGULAR = 0.01  # singular value of an arm's Jacobian below which no motion is 
 class ChainMotion(PlannedMotion):
     """A polynomial whose joints follow the target."""
 
-    def __init__(self, motion: PlannedMotion, scenario: Scenario) -> None:
+    def __init__(self, motion: PlannedMotion, scenario: Scenario, nominal: PlantModel) -> None:
         """Args:
           motion: the polynomial of the base.
           scenario: the scenario, with the duration of that motion.
+          nominal: the plant with the nominal payload, in the hands of its phase.
 
         Raises ScenarioError: a hand does not reach, or an arm is singular.
         """
-        velocity, nominal = None, make_nominal_plant(scenario)
-        closings = closing_times(scenario)
+        velocity, closings = None, closing_times(scenario)
         if scenario.starts_moving:
             velocity = velocity_at_start(scenario, nominal)
         elif len(closings) > 1:
@@ -80,7 +79,7 @@ class ChainMotion(PlannedMotion):
         ]
         self._motion, self._blend = motion, Blend(scenario.reference, motion.end)
         # begin and end in the phase
-        begin, end, closed = 0.0, motion.end, scenario.closed
+        begin, end, closed = 0.0, motion.end, nominal.grip.closed
         if closed is not None:
             begin = closed
             end = min([each for each in closings if each > closed], default=max(end, closed))
@@ -178,8 +177,7 @@ class _Follower:
 
     def __init__(self, scenario: Scenario, velocity: np.ndarray | None, end: float) -> None:
         self.model = model = make_nominal_plant(scenario)
-        every = dataclasses.replace(scenario, closed=math.inf)
-        self.whole_chain = ClosedChain(model.plant, every, true=False)
+        self.whole_chain = ClosedChain(model.plant, scenario, ALL_HANDS, true=False)
         self.later = [loop for loop in self.whole_chain.loops if loop.contact.closes]
         self._chain = ClosedChain(model.plant, scenario, true=False)
         self._target = find_body(model.plant, scenario.payload.body, key="payload.body")
@@ -361,8 +359,7 @@ def closed_chain(
     """The plant's own q (nq) with the loops of the true contacts closed, without those of late
     hands, and their A (m, nv). ``stays``: q does not change.
     """
-    at_once = dataclasses.replace(scenario, closed=0.0, holds=True)
-    chain = ClosedChain(plant, at_once, true=True)
+    chain = ClosedChain(plant, scenario, true=True)
     q = q if stays else chain.closed(q, context)
     plant.SetPositions(context, q)
     return q, chain.jacobian(context)

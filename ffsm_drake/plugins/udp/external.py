@@ -133,7 +133,7 @@ class External(LeafSystem):
         self.part = Link()
         self._settings, self._period = Settings.of(setup), setup.sample_time
         self._connected().close()
-        self._phase = HOLDS * setup.scenario.holds
+        self._phase = HOLDS * setup.grip.holds
         self.set_name(setup.name)
         nv, nq = len(setup.coordinates.names), len(setup.coordinates.position_names)
         self._undriven = np.flatnonzero(~setup.coordinates.is_driven)

@@ -31,7 +31,7 @@ from ffsm_drake.plugins.udp.packets import (
     open_socket,
     read,
 )
-from ffsm_drake.scenario import Scenario, load_scenario
+from ffsm_drake.scenario import Grip, Scenario, load_scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import SampledController, make_controller
 from ffsm_drake.systems.controllers.law import State
@@ -55,7 +55,7 @@ class Pilot:
     def __init__(self, scenario: Scenario) -> None:
         """Raises the errors of ``make_controller``, and FfsmError: it is not a control law."""
         self._controllers = {
-            holds: _controller(dataclasses.replace(scenario, holds=bool(holds)))
+            holds: _controller(scenario, Grip(bool(holds)))
             for holds in ((0, HOLDS) if scenario.grasps else (HOLDS,))
         }
         coordinates = make_nominal_plant(scenario).coordinates
@@ -123,8 +123,8 @@ class Pilot:
         return reply
 
 
-def _controller(scenario: Scenario) -> SampledController:
-    controller = make_controller(scenario, make_nominal_plant(scenario))
+def _controller(scenario: Scenario, grip: Grip) -> SampledController:
+    controller = make_controller(scenario, make_nominal_plant(scenario, grip))
     if not isinstance(controller, SampledController):
         raise FfsmError(f"{scenario.controller} is a Drake system, not a control law")
     return controller

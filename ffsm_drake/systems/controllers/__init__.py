@@ -85,7 +85,7 @@ def make_controller(
         )
     setup = controller_setup(scenario, nominal)
     _check_other_gains(scenario, setup.coordinates)
-    if closing_contacts(scenario) and scenario.chain.law != "plain":
+    if closing_contacts(scenario, nominal.grip) and scenario.chain.law != "plain":
         in_chain = service("closed_chain_law", "chain.law")
         made = in_chain(setup, lambda own: _make(own, factory))
     else:

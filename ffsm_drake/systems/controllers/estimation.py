@@ -14,7 +14,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError, one_line
 from ffsm_drake.common.plugins import service
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import HELD, Grip, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers.law import Sample, State
 
@@ -38,7 +38,11 @@ class Estimator(abc.ABC):
     @classmethod
     @abc.abstractmethod
     def make(
-        cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
+        cls,
+        scenario: Scenario,
+        coordinates: Coordinates,
+        jacobian: np.ndarray | None,
+        grip: Grip,
     ) -> "Estimator":
         """Return the estimator of a scenario; see ``make_estimator``. Raises LinAlgError without a
         stationary filter.
@@ -84,7 +88,11 @@ class OneSampleEstimator(Estimator):
 
     @classmethod
     def make(
-        cls, scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None
+        cls,
+        scenario: Scenario,
+        coordinates: Coordinates,
+        jacobian: np.ndarray | None,
+        grip: Grip,
     ) -> Self:
         size = len(coordinates.names if jacobian is None else jacobian)
         return cls(sample_time=scenario.sample_time, num_velocities=size)
@@ -109,7 +117,10 @@ class OneSampleEstimator(Estimator):
 
 
 def make_estimator(
-    scenario: Scenario, coordinates: Coordinates, jacobian: np.ndarray | None = None
+    scenario: Scenario,
+    coordinates: Coordinates,
+    jacobian: np.ndarray | None = None,
+    grip: Grip = HELD,
 ) -> Estimator:
     """Return the scenario's estimator, for the spacecraft's coordinates, or for m coordinates with
     velocities J v and the Jacobian J (m, nv).
@@ -125,7 +136,7 @@ def make_estimator(
         kind: type[Estimator] = OneSampleEstimator
         if (name := scenario.estimator.kind) != "one_sample":
             kind = service(f"estimator_{name}", f"estimator.kind: {name}")
-        return kind.make(scenario, coordinates, jacobian)
+        return kind.make(scenario, coordinates, jacobian, grip)
     except np.linalg.LinAlgError as error:
         remedy = (
             "bring walk and noises, or periods and delays, of position and velocity closer together"

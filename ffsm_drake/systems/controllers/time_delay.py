@@ -146,7 +146,7 @@ class InjectedDynamics(abc.ABC):
         """
         return TimeDelayControl(
             model=setup.nominal,
-            estimator=make_estimator(setup.scenario, setup.coordinates),
+            estimator=make_estimator(setup.scenario, setup.coordinates, grip=setup.grip),
             dynamics=cls(**field_values(cls, setup)),
         )
 

@@ -12,7 +12,7 @@ from ffsm_drake.plugins.capture.grasping import Aim
 from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.runs.limits import CLEARANCE, INSTANTS, closest_of, distances_in, limits_left
 from ffsm_drake.runs.rollout import make_rollout
-from ffsm_drake.scenario import planned_part
+from ffsm_drake.scenario import EMPTY, planned_part
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.reference import make_motion
@@ -29,13 +29,12 @@ def tumbling(rate, *more):
 
 def planned(scenario, instants=60):
     """Times, motion [q; v; a] and the target's poses of a planned approach."""
-    alone = dataclasses.replace(scenario, holds=False)
-    model = make_nominal_plant(alone)
+    model = make_nominal_plant(scenario, EMPTY)
     path = Aim(scenario).path[:, :7]
     samples = np.linspace(0, len(path) - 1, instants).round().astype(int)
     times = samples * scenario.sample_time
     nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
-    rows = make_motion(alone, model.coordinates).rows(times)
+    rows = make_motion(scenario, model.coordinates, EMPTY).rows(times)
     return model, times, np.split(rows, [nq, nq + nv], axis=1), path[samples]
 
 
@@ -70,13 +69,12 @@ def test_the_planned_approach_keeps_clear_and_is_gentle(seed):
 
 
 @pytest.mark.long
-def test_the_start_does_not_depend_on_the_target_that_is_left_out_or_the_law():
+def test_the_start_does_not_depend_on_the_law():
     scenario = tumbling([0.05, 0.0, 0.0])
     posture = approach_posture(scenario)
     assert posture != scenario.capture.approach.posture
-    assert approach_posture(dataclasses.replace(scenario, holds=False)) == posture
     assert approach_posture(scenario.replace(controller="tdc")) == posture
-    assert given_approach(dataclasses.replace(scenario, holds=False)).start == "given"
+    assert given_approach(scenario).start == "given"
 
 
 @pytest.mark.parametrize("start", ["clear", "given"])

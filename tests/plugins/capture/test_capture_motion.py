@@ -3,7 +3,6 @@ limits.
 """
 
 import copy
-import dataclasses
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.common.so3 import rotation_vector_motion
 from ffsm_drake.plugins.capture.contact import planned_contact
+from ffsm_drake.scenario import EMPTY
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import models_dir
 from ffsm_drake.systems.reference import make_motion
@@ -100,7 +100,7 @@ def test_the_servicer_alone_moves_as_planned_with_the_target():
     approach = "capture.approach={duration: 12, posture: {joints: {joint_2: -1}}}"
     center = "payload.truth.center_of_mass=[0.1, 0.05, 0]"
     motion, _, scenario = motion_of("duration=40", approach, center)
-    alone = make_motion(dataclasses.replace(scenario, holds=False), motion.coordinates)
+    alone = make_motion(scenario, motion.coordinates, EMPTY)
     times = np.array([0.0, 3.0, 11.99])
     assert_allclose(alone.rows(times), motion.rows(times), atol=1e-15)
 

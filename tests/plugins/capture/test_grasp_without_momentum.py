@@ -5,8 +5,6 @@ free-flying spacecraft-manipulator system", Frontiers in Robotics and AI 6 (2019
 doi:10.3389/frobt.2019.00014. Their tables could not be read: the bounds here follow from momentum.
 """
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -56,7 +54,7 @@ def test_an_arm_of_seven_joints_leaves_no_linear_momentum():
 def test_the_approach_ends_with_the_velocity_of_the_grasp():
     """Its loop knows nothing of the target, whose momentum it nevertheless cancels."""
     given = scenario("detumble")
-    motion = planned_approach(dataclasses.replace(given, holds=False))
+    motion = planned_approach(given)
     np.testing.assert_allclose(
         motion.evaluate(motion.end)[1], contact(given).velocity, rtol=0.0, atol=1e-15
     )

@@ -1,6 +1,5 @@
 """A gripper that closes, compiled, against Drake."""
 
-import dataclasses
 import os
 
 import numpy as np
@@ -18,6 +17,7 @@ from ffsm_drake.plugins.compiled.engine import _kernel
 from ffsm_drake.plugins.compiled.kernel import LaneState
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.rollout import Leg, Rollout
+from ffsm_drake.scenario import EMPTY
 from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.tape.arrays import inputs
 from ffsm_drake.tape.numbers import Tape
@@ -36,7 +36,7 @@ VARIANTS = {
 
 
 def drawn(random, name, given):
-    """A scenario with an empty gripper; the compliance."""
+    """A scenario; the compliance."""
     closing = {
         "preload": 10.0 ** random.uniform(0.0, 3.0), "friction": random.uniform(0.05, 0.6),
         "time": 0.01 * random.integers(20, 60), "radius": 10.0 ** random.uniform(-1.5, -0.5),
@@ -50,7 +50,7 @@ def drawn(random, name, given):
         ["capture.closing={}", *settings, *masses, *given, f"random_seed={random.integers(100)}"],
     )
     stiffness = 10.0 ** random.uniform(3.5, 5.0)
-    return dataclasses.replace(scenario, holds=False), Compliance(
+    return scenario, Compliance(
         stiffness=stiffness, damping=0.02 * stiffness,
         rotational_stiffness=0.2 * stiffness, rotational_damping=0.01 * stiffness,
     )  # fmt: skip
@@ -78,7 +78,8 @@ def check_closing(monkeypatch, variant, seed):
     scenario, compliance = drawn(random, *VARIANTS[variant])
     part, limp = Gripper(compliance), scenario.closing.joints == "limp"
     joints = random.uniform(-0.1, 0.1, 5) if limp else None
-    rollout, found = Rollout(scenario, blocks={GRIPPER: part}, joint_force=joints), {}
+    rollout = Rollout(scenario, blocks={GRIPPER: part}, joint_force=joints, grip=EMPTY)
+    found = {}
 
     def begin(loop, context):
         system = loop.blocks[GRIPPER]
@@ -96,11 +97,16 @@ def check_closing(monkeypatch, variant, seed):
 
     expected = rollout.run(scenario, leg=Leg(last=SAMPLES, begin=begin, end=end))
     rollout.release()
-    factory_of = runs.factory_of
+    section_parts = runs.section_parts
     monkeypatch.setattr(
-        runs, "factory_of", lambda name, of: part if name == GRIPPER else factory_of(name, of)
+        runs,
+        "section_parts",
+        lambda *of, **how: {
+            name: part if name == GRIPPER else each
+            for name, each in section_parts(*of, **how).items()
+        },
     )
-    case = runs.Case(scenario)
+    case = runs.Case(scenario, EMPTY)
     if limp:
         case.fixed["limp"], case.parameters["joint_force"] = True, joints
     run = runs.Run(scenario, case)

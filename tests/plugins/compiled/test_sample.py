@@ -13,6 +13,7 @@ from ffsm_drake.plugins.compiled.sample import TracedSample
 from ffsm_drake.plugins.design.stability import linearization, traced
 from ffsm_drake.plugins.design.stability.linear_settings import without_limits
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.scenario import HELD
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
 
 LAWS = (
@@ -101,7 +102,7 @@ def check_loop(name, law, overrides, share, monkeypatch):
     with Linearizer(scenario) as linearizer:
         assert linearizer.is_exact
         exact = linearizer.at(linearizer.part(share))
-    monkeypatch.setattr(linearization, "traced_sample", lambda scenario, given: None)
+    monkeypatch.setattr(linearization, "traced_sample", lambda *given: None)
     with Linearizer(scenario) as linearizer:
         assert not linearizer.is_exact
         differenced = linearizer.at(linearizer.part(share))
@@ -194,7 +195,7 @@ def test_the_code_of_a_run_without_its_limit(name):
     """The sample of a run whose limit of force is infinite is that of a scenario without one."""
     given = load_scenario(name, ["controller=tdc", "actuation.limit={all: 1.0e-3}", *SHORT])
     bare = without_limits(given)
-    own, shared = (traced.traced_sample(bare, each) for each in (bare, given))
+    own, shared = (traced.traced_sample(bare, each, HELD) for each in (bare, given))
     changed = own.start + 1e-3 * np.random.default_rng(0).standard_normal(own.size)
     for one, other in zip(own.derivative(3, changed), shared.derivative(3, changed), strict=True):
         for expected, found in zip(one, other, strict=True):

@@ -12,6 +12,7 @@ from ffsm_drake import RunRecord, Scenario, ScenarioError, load_scenario, make_t
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.plugins.two_arms.contact import ContactForce
 from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.scenario import Grip
 from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import PAPER_LAWS
@@ -98,8 +99,8 @@ def test_any_closing_is_plastic(seed: int) -> None:
     generator = np.random.default_rng(seed)
     kind = ("rigid", "compliant")[seed % 5 == 4]
     given = scenario(f"contacts.right.kind={kind}", "simulator_config.max_step_size=0.001")
-    given.closed = given.contacts["right"].closes
-    nominal = make_nominal_plant(given)
+    grip = Grip(closed=given.contacts["right"].closes)
+    nominal = make_nominal_plant(given, grip)
     block = ContactForce(BlockSetup(name="", scenario=given, nominal=nominal, settings={}))
     context, model = block.CreateDefaultContext(), make_true_plant(given)
     q = np.concatenate([generator.normal(size=4), generator.uniform(-1.5, 1.5, 15)])
@@ -108,7 +109,7 @@ def test_any_closing_is_plastic(seed: int) -> None:
     after = block.close(context, np.concatenate([q, v]), work=-0.25)
     assert np.array_equal(after[:19], q)
     model.plant.SetPositions(model.context, q)
-    A = ClosedChain(model.plant, given, true=True).jacobian(model.context)
+    A = ClosedChain(model.plant, given, grip, true=True).jacobian(model.context)
     H, S = model.plant.CalcMassMatrix(model.context), null_space(A)
     wanted = S @ np.linalg.solve(S.T @ H @ S, S.T @ H @ v) if kind == "rigid" else v
     assert_allclose(after[19:], wanted, atol=1e-11)
@@ -139,8 +140,7 @@ def test_the_hand_comes_to_its_place_with_the_targets_motion(
     assert (given.capture is not None) == tumbles
     model = make_nominal_plant(given)
     motion, closes = make_motion(given, model.coordinates), given.contacts["right"].closes
-    given.closed = closes
-    chain = ClosedChain(model.plant, given, true=False)
+    chain = ClosedChain(model.plant, given, Grip(closed=closes), true=False)
     nq, nv, step = len(model.coordinates.position_names), len(model.coordinates.names), 1e-4
     for time in np.linspace(closes, given.duration, 9):
         q, v, _ = motion.evaluate(time)

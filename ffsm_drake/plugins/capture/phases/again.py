@@ -15,7 +15,7 @@ from ffsm_drake.plugins.capture.phases.chase import Chase
 from ffsm_drake.plugins.capture.phases.moves import Move
 from ffsm_drake.runs.limits import closest_of
 from ffsm_drake.runs.phases import Situation
-from ffsm_drake.scenario import Posture, Scenario
+from ffsm_drake.scenario import EMPTY, Posture, Scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import base_body, configuration
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -66,7 +66,7 @@ def next_try(now: Situation, start: Posture, first: int) -> tuple[Aim, Move] | N
             and is_clear(now, motion, samples, first, margin=margin)
             and is_clear(
                 now,
-                make_motion(dataclasses.replace(scenario, holds=False), coordinates),
+                make_motion(scenario, coordinates, EMPTY),
                 np.linspace(begin, sample - chase.closing, INSTANTS),
                 begin,
                 margin=margin,

@@ -13,7 +13,7 @@ from ffsm_drake.plugins.capture.target_filter import Path
 from ffsm_drake.plugins.capture.tracked_target import Approached, TrackedTarget
 from ffsm_drake.runs.ending import MISSED, Outcome
 from ffsm_drake.runs.phases import Phase, Situation
-from ffsm_drake.scenario import Capture, Scenario
+from ffsm_drake.scenario import EMPTY, Capture, Grip, Scenario
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.registry import Factory
 
@@ -103,7 +103,7 @@ def phase_of(
     *names: tuple[str, int | None],
     follows: bool = True,
     sees: bool = True,
-    holds: bool = False,
+    grip: Grip = EMPTY,
     afresh: tuple[str, ...] = (),
     blocks: dict[str, Factory] | None = None,
     **how: Any,
@@ -112,19 +112,19 @@ def phase_of(
     ``Chase.followed``; fields.
     """
     chase: Chase = now.own
-    plan, motion = dataclasses.replace(chase.aim.scenario, holds=holds), None
+    plan, motion = chase.aim.scenario, None
     own: dict[str, Factory] = {}
     if chase.moves:
-        motion = along(chase.moves, plan, now.stage.coordinates, again=chase.again)
+        motion = along(chase.moves, plan, now.stage.coordinates, grip, again=chase.again)
         own = chase.supervised(begin=chase.moves[0].begin if chase.again is None else chase.again)
     own |= blocks or {}
     if chase.expected is not None:
         own |= chase.followed(motion, follows=follows, sees=sees)
         motion = None
-    elif not holds:
+    elif not grip.holds:
         afresh = (*afresh, "reference")
     return Phase(
-        names=names, scenario=plan, motion=motion, blocks=own, holds=holds, afresh=afresh, **how
+        names=names, scenario=plan, motion=motion, blocks=own, grip=grip, afresh=afresh, **how
     )
 
 

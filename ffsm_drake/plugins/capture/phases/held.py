@@ -13,7 +13,7 @@ from ffsm_drake.plugins.capture.phases.chase import Chase, phase_of, replaced
 from ffsm_drake.runs.limits import closest_of
 from ffsm_drake.runs.phases import Phase, Situation, Stop
 from ffsm_drake.runs.stage import Stage
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import HELD, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import posture_of
@@ -33,7 +33,7 @@ class Held(Stop):
             return super().plan(now)
         now = replaced(now, aim=Aim(_at_rest_in_gripper(now), sample=now.sample))
         how: Any = {"follows": False, "sees": False, "afresh": ("controller",)}
-        return phase_of(now, ("stop", self.until), holds=True, **how), now
+        return phase_of(now, ("stop", self.until), grip=HELD, **how), now
 
     def enter(self, now: Situation, phase: Phase, stage: Stage) -> Situation:
         """Grasp the target; the run continues from the state after the grasp."""

@@ -84,6 +84,6 @@ def hold(setup: BlockSetup) -> Phase:
         raise ScenarioError(f"phases.{setup.name}.direction", "must have 3 numbers, not all zero")
     names = list(phases)
     before = sum(phases[name].duration for name in names[: names.index(setup.name)])
-    model = make_nominal_plant(dataclasses.replace(scenario, holds=True))
+    model = make_nominal_plant(scenario)
     end = before + phases[setup.name].duration
     return Phase(motion=Hold(scenario, model, settings, begin=before, end=end), joins=True)

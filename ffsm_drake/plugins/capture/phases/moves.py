@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ffsm_drake.scenario import Posture, Scenario
+from ffsm_drake.scenario import Grip, Posture, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.planned_motion import InTurn, PlannedMotion
@@ -37,7 +37,12 @@ class Move:
 
 
 def along(
-    moves: Sequence[Move], plan: Scenario, coordinates: Coordinates, *, again: float | None
+    moves: Sequence[Move],
+    plan: Scenario,
+    coordinates: Coordinates,
+    grip: Grip,
+    *,
+    again: float | None,
 ) -> PlannedMotion:
     """Along moves, and from the time ``again`` (s) on, if it is given, along a scenario's plan."""
     motions: list[tuple[float, PlannedMotion]] = [
@@ -45,7 +50,7 @@ def along(
     ]
     begin = end = moves[-1].begin + moves[-1].duration
     if again is not None:
-        own = make_motion(plan, coordinates)
+        own = make_motion(plan, coordinates, grip)
         motions.append((again, own))
         begin, end = again + own.begin, again + own.end
     return InTurn(motions, begin=begin, end=end, sample_time=plan.sample_time)

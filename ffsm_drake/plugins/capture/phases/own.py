@@ -9,7 +9,7 @@ from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.common.guard import calling
 from ffsm_drake.plugins.capture.displacement import Joined
 from ffsm_drake.runs.phases import Phase
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import EMPTY, Scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.planned_motion import InTurn, PlannedMotion
 from ffsm_drake.systems.registry import call_factory, find_factory
@@ -38,15 +38,14 @@ def phases_before(scenario: Scenario) -> dict[str, Phase]:
 
     Raises ScenarioError or BlockError: a factory is unknown, fails, or returns something else.
     """
-    found, alone = dict[str, Phase](), dataclasses.replace(scenario, holds=False)
+    found = dict[str, Phase]()
     for name, given in scenario.blocks.phases.items():
         key = _key(scenario, name)
         if _OF_A_CAPTURE.fullmatch(name):
             raise ScenarioError(key, f"'{name}' is a phase of every capture; rename it")
         factory = find_factory("phases", given.system, key=key, python_path=scenario.python_path)
-        setup = BlockSetup(
-            name=name, scenario=alone, nominal=make_nominal_plant(alone), settings=given.settings
-        )
+        nominal = make_nominal_plant(scenario, EMPTY)
+        setup = BlockSetup(name=name, scenario=scenario, nominal=nominal, settings=given.settings)
         phase = call_factory(factory, setup, place=f"{key} '{given.system}'")
         if not isinstance(phase, Phase):
             raise BlockError(f"{key} '{given.system}' must be a Phase, not {type(phase).__name__}")

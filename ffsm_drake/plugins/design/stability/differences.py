@@ -33,7 +33,7 @@ from ffsm_drake.plugins.design.stability.linear_loop import (
     TooLarge,
 )
 from ffsm_drake.plugins.design.stability.loop_state import Memory, PlantState, difference
-from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.scenario import Grip, MassProperties, Scenario
 from ffsm_drake.systems.controllers.law import ControlLaw, is_shipped
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -67,19 +67,21 @@ class DifferencedLoop:
         self,
         scenario: Scenario,
         motion: PlannedMotion,
+        grip: Grip,
         *,
         blocks: Mapping[str, Factory],
     ) -> None:
         """Args:
           scenario: the scenario, without what has no derivative.
           motion: its motion.
+          grip: what holds the target.
           blocks: factories in place of its blocks.
 
         Raises the errors of ``add_closed_loop``; NotLinear for a block with continuous or abstract
         state.
         """
         self.scenario, self.motion = scenario, motion
-        self.loop = make_closed_loop(scenario, blocks=blocks)
+        self.loop = make_closed_loop(scenario, blocks=blocks, grip=grip)
         self.coordinates, self.hidden = self.loop.coordinates, self.loop.split.names
         self.tracks_frame = self.loop.tracks_frame
         self._simulator = self._new_simulator()

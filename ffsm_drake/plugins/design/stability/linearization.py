@@ -31,7 +31,7 @@ from ffsm_drake.plugins.design.stability.linear_loop import (
 from ffsm_drake.plugins.design.stability.linear_settings import without_limits
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
 from ffsm_drake.plugins.design.stability.traced import TracedLoop, agrees, traced_sample
-from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.scenario import EMPTY, Grip, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.reference import make_motion, timed
@@ -55,18 +55,23 @@ class Linearizer:
         *,
         blocks: Mapping[str, Factory] | None = None,
         approach: bool = False,
+        closed: float | None = None,
     ) -> None:
         """Args:
           scenario: the scenario.
           blocks: factories in place of its blocks.
           approach: use its approach, the servicer alone before the grasp, in place of the motion
             from the grasp on.
+          closed: s after the grasp; the hands that closed up to then hold the target; default: all.
 
         Raises the errors of ``add_closed_loop``; NotLinear for a block with continuous or abstract
         state.
         """
         # with limits
-        self.given = timed(_up_to_grasp(scenario) if approach else from_grasp(scenario))
+        given, self.grip = _up_to_grasp(scenario) if approach else from_grasp(scenario)
+        if closed is not None:
+            self.grip = Grip(closed=closed)
+        self.given = timed(given, self.grip)
         self.scenario = without_limits(self.given)
         factories = dict(blocks or {})
         others = {*factories, *parts_of(self.scenario, factories)}
@@ -75,10 +80,10 @@ class Linearizer:
         for name, part in parts_of(self.scenario, factories).items():
             factories[name] = part.linear()
         self._choices = self.given.blocks.choices()
-        sample = None if others else traced_sample(self.scenario, self.given)
+        sample = None if others else traced_sample(self.scenario, self.given, self.grip)
         if sample is None:
             self.coordinates = make_nominal_plant(self.scenario).coordinates
-            self.motion = make_motion(self.scenario, self.coordinates)
+            self.motion = make_motion(self.scenario, self.coordinates, self.grip)
         else:
             self.coordinates, self.motion = sample.coordinates, sample.motion
         self._loop = self._made(sample, factories)
@@ -97,7 +102,7 @@ class Linearizer:
         """The loop as code if there is a traced sample, else as Drake's diagram."""
 
         def differenced() -> DifferencedLoop:
-            return DifferencedLoop(self.scenario, self.motion, blocks=blocks)
+            return DifferencedLoop(self.scenario, self.motion, self.grip, blocks=blocks)
 
         if sample is not None and agrees(loop := TracedLoop(sample), differenced):
             return loop
@@ -317,7 +322,7 @@ class Linearizer:
         """The scenario's dynamics along its planned motion. Raises the errors of
         PlannedDynamics.
         """
-        return PlannedDynamics(self.given)
+        return PlannedDynamics(self.given, self.grip)
 
     @functools.cached_property
     def lightest(self) -> list[float]:
@@ -325,6 +330,6 @@ class Linearizer:
         return self.planned.lightest(self.begin, self.end)
 
 
-def _up_to_grasp(scenario: Scenario) -> Scenario:
-    """The scenario up to its grasp."""
-    return dataclasses.replace(scenario, holds=False, duration=scenario.grasp_time)
+def _up_to_grasp(scenario: Scenario) -> tuple[Scenario, Grip]:
+    """The scenario up to its grasp, and the empty gripper."""
+    return dataclasses.replace(scenario, duration=scenario.grasp_time), EMPTY

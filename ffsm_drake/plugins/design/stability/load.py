@@ -93,8 +93,7 @@ def saturated_shares(scenario: Scenario, signals: Signals) -> dict[str, float]:
 
 def _base_load(scenario: Scenario) -> Load:
     """The load of a mission on its base's actuators, and changes that reduce it."""
-    held = from_grasp(scenario)
-    planned = PlannedDynamics(held)
+    planned = PlannedDynamics(*from_grasp(scenario))
     coordinates, peak = planned.coordinates, _motion_peak(planned)
     limit = actuation_limit(scenario, coordinates).upper
     noise = coordinates.vector(
@@ -148,7 +147,7 @@ def _slower(scenario: Scenario, groups: Mapping[str, GroupLoad]) -> Advice | Non
             "reference.duration": float(duration),
             "duration": scenario.duration + duration - given,
         }
-        planned = PlannedDynamics(from_grasp(override_scenario(scenario, [changes])))
+        planned = PlannedDynamics(*from_grasp(override_scenario(scenario, [changes])))
         peak, own = _motion_peak(planned), planned.coordinates.groups
         used = max(float(peak[own[name]].max()) / each.limit for name, each in groups.items())
     return Advice(changes=changes, reason=f"{reason}{used:.2g}")

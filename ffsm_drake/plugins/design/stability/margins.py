@@ -240,7 +240,7 @@ def stability(
         scenario = checked(scenario)
         with Linearizer(scenario) as own:
             return stability(scenario, postures=postures, linearizer=own)
-    scenario, planned = from_grasp(scenario), linearizer.planned
+    (scenario, _), planned = from_grasp(scenario), linearizer.planned
     true, motion = planned.true, planned.motion
     times = np.linspace(motion.begin, motion.end, postures)
     eta = locked = np.array([planned.ratios(time) for time in times])

@@ -107,18 +107,20 @@ def linear_verdict(scenario: Scenario, linearizer: Linearizer | None = None) -> 
     approach = (_leg(scenario, "approach", None),) if scenario.grasp_time > 0.0 else ()
     open_ = []
     for time, end in itertools.pairwise(closing_times(scenario)):
-        found = _leg(dataclasses.replace(scenario, closed=time), leg, None)
+        found = _leg(scenario, leg, None, closed=time)
         told = f"{found.sentence}, up to the closing at {end:g} s"
         open_.append(dataclasses.replace(found, sentence=told))
     return LinearVerdict(legs=(*approach, *open_, _leg(scenario, leg, linearizer)))
 
 
-def _leg(scenario: Scenario, leg: Leg, linearizer: Linearizer | None) -> LegVerdict:
+def _leg(
+    scenario: Scenario, leg: Leg, linearizer: Linearizer | None, closed: float | None = None
+) -> LegVerdict:
     start = scenario.grasp_time if leg == "stop" else 0.0
     try:
         if linearizer is not None:
             return _verdict(linearizer, leg, start)
-        with Linearizer(scenario, approach=leg == "approach") as own:
+        with Linearizer(scenario, approach=leg == "approach", closed=closed) as own:
             return _verdict(own, leg, start)
     except NotLinear as error:
         return LegVerdict(
@@ -160,12 +162,13 @@ def chain_growth(linearizer: Linearizer) -> str:
     """How the internal force of a closed chain grows at the end of the motion; "" if it does not,
     or there is no chain.
     """
-    scenario, loop = linearizer.given, linearizer.at(linearizer.end)
-    if not closing_contacts(scenario) or linearizer.law is None or not loop.unit_poles:
+    grip, loop = linearizer.grip, linearizer.at(linearizer.end)
+    is_chain = closing_contacts(linearizer.given, grip)
+    if not is_chain or linearizer.law is None or not loop.unit_poles:
         return ""
     end = linearizer.motion.evaluate(linearizer.end)[0]
     told: str = service("closed_chain_growth", "contacts")(
-        linearizer.scenario, linearizer.law, end, loop.unit_poles
+        linearizer.scenario, linearizer.law, end, grip, loop.unit_poles
     )
     return told
 

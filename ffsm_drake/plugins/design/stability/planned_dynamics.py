@@ -8,7 +8,7 @@ import functools
 import numpy as np
 
 from ffsm_drake.plugins.actuators.drives import DriveSet
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import WHOLE, Grip, Scenario
 from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
@@ -25,24 +25,24 @@ from ffsm_drake.systems.reference import make_motion
 _POINTS = 101  # instants at which the lightest coordinates are sought
 
 
-def from_grasp(scenario: Scenario) -> Scenario:
+def from_grasp(scenario: Scenario) -> tuple[Scenario, Grip]:
     """The mission that begins with a scenario's grasp, as a user would write it: without approach
-    and phases before it, and with all hands on the target. Unchanged without them.
+    and phases before it; and all its hands on the target. Unchanged without them.
     """
-    if scenario.closed is None and (closings := closing_times(scenario))[1:]:
-        scenario = dataclasses.replace(scenario, closed=closings[-1])
+    grip = Grip(closed=closing_times(scenario)[-1])
     if scenario.capture is None or scenario.approach is None:
-        return scenario
+        return scenario, grip
     held = dataclasses.replace(
         scenario.capture, approach=None, closing=None, retreat=None, measured=None
     )
-    return dataclasses.replace(
+    alone = dataclasses.replace(
         scenario,
         duration=scenario.duration - scenario.grasp_time,
         capture=held,
         blocks=dataclasses.replace(scenario.blocks, phases={}),
         phases=[],
     )
+    return alone, grip
 
 
 class PlannedDynamics:
@@ -50,20 +50,22 @@ class PlannedDynamics:
     free.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, grip: Grip = WHOLE) -> None:
         """Raises ModelError or ScenarioError if a model or a value cannot be used."""
         self.scenario = scenario
-        self.nominal = driven_model(make_nominal_plant(scenario))
-        self.true = driven_model(make_flexible_plant(scenario))  # with hidden coordinates
+        self.nominal = driven_model(make_nominal_plant(scenario, grip))
+        self.true = driven_model(make_flexible_plant(scenario, grip))  # with hidden coordinates
         self.coordinates = self.nominal.coordinates
-        self.motion = make_motion(scenario, self.coordinates)
+        self.motion = make_motion(scenario, self.coordinates, grip)
         self._drifts = dict[bytes, np.ndarray]()
 
     @functools.cached_property
     def locked(self) -> PlantModel:
         """The true plant with its hidden coordinates locked."""
         names = self.true.split.names
-        return driven_model(make_true_plant(self.scenario)) if names else self.true
+        return (
+            driven_model(make_true_plant(self.scenario, self.nominal.grip)) if names else self.true
+        )
 
     def mass_matrices(self, time: float, *, locked: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """H, apparent (``calc_apparent_mass_matrix``), and Hhat (nv, nv) at a time, s."""
@@ -142,8 +144,8 @@ def make_demand(scenario: Scenario, *, points: int = 201) -> Demand:
     """
     from scipy.interpolate import CubicSpline  # slow to load
 
-    scenario = from_grasp(scenario)
-    planned, period = PlannedDynamics(scenario), scenario.sample_time
+    scenario, grip = from_grasp(scenario)
+    planned, period = PlannedDynamics(scenario, grip), scenario.sample_time
     samples = (np.arange(scenario.num_control_periods) + 0.5) * period
     knots = np.linspace(0.0, samples[-1] + 0.5 * period, points)
     both = np.hstack(planned.perfect_tracking(knots, friction=True))

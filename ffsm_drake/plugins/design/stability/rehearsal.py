@@ -34,7 +34,7 @@ from ffsm_drake.plugins.design.stability.planned_dynamics import (
 )
 from ffsm_drake.runs.engine import find_engine
 from ffsm_drake.runs.rollout import user_supplied
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import Grip, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.limits import actuation_limit, base_limits
@@ -189,12 +189,14 @@ def expected_rehearsal(linearizer: Linearizer) -> Rehearsal:
     scenario = linearizer.given
     if user_supplied(scenario):  # whose code may change
         return _expected(linearizer)
-    return _shared(scenario, files_read(scenario), linearizer=linearizer)
+    return _shared(scenario, linearizer.grip, files_read(scenario), linearizer=linearizer)
 
 
 @memoized(maxsize=4, besides="linearizer")
-def _shared(scenario: Scenario, files: tuple[Path, ...], *, linearizer: Linearizer) -> Rehearsal:
-    """``expected_rehearsal``; ``files`` are part of the key."""
+def _shared(
+    scenario: Scenario, grip: Grip, files: tuple[Path, ...], *, linearizer: Linearizer
+) -> Rehearsal:
+    """``expected_rehearsal``; ``grip`` and ``files`` are part of the key."""
     return _expected(linearizer)
 
 
@@ -228,6 +230,7 @@ class Rehearsed:
             self.loops = _close_loops(linearizer, held)
             self.motion, self.law = linearizer.motion, linearizer.law
             self.scenario = scenario = linearizer.given
+            planned = PlannedDynamics(scenario, linearizer.grip)
         if mean is None:
             ideal = make_demand(scenario).force
             mean = np.zeros_like(ideal), ideal
@@ -244,7 +247,6 @@ class Rehearsed:
             for loop in self.loops.values()
         ]
         self.states = self._maps[0][0][0].shape[1]
-        planned = PlannedDynamics(scenario)
         self._mass = [planned.mass_matrices(time)[1] for time in self._times]
         start = {} if self.law is None else self.law.initial_state()
         known = {"sliding_variable", "switching_gain"} <= set(start)

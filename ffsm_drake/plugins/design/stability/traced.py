@@ -11,7 +11,7 @@ from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.common.so3 import quaternion_rate
 from ffsm_drake.plugins.design.stability.differences import DifferencedLoop, Way
 from ffsm_drake.plugins.design.stability.linear_loop import WARM_UP, SampleMap
-from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.scenario import Grip, MassProperties, Scenario
 from ffsm_drake.systems.controllers.law import is_shipped
 
 # From Drake's loop after ``WARM_UP`` samples, as a share of the state's largest entry.
@@ -169,14 +169,16 @@ class TracedLoop:
         return found
 
 
-def traced_sample(scenario: Scenario, given: Scenario) -> Any:
-    """Return the traced sample of a scenario with a shipped law; None: it is not covered. Wheels
+def traced_sample(scenario: Scenario, given: Scenario, grip: Grip) -> Any:
+    """Return the traced sample of a phase with a shipped law; None: it is not covered. Wheels
     give what is commanded. ``given``: the scenario with its limits.
     """
     make = optional(SERVICES, "traced_sample")
     actuation = dataclasses.replace(scenario.actuation, wheels=None)
     sample = (
-        None if make is None else make(dataclasses.replace(scenario, actuation=actuation), given)
+        None
+        if make is None
+        else make(dataclasses.replace(scenario, actuation=actuation), given, grip)
     )
     if sample is None or not is_shipped(sample.law) or sample.law.least_change:
         return None

@@ -1,0 +1,111 @@
+"""What holds the target in a phase: no part of the scenario, so caches need it in their keys."""
+
+import ast
+import dataclasses
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import ffsm_drake
+from ffsm_drake import load_scenario, make_nominal_plant
+from ffsm_drake.common.memo import content_of
+from ffsm_drake.plugins.compiled.run import case_of
+from ffsm_drake.plugins.design.stability import rehearsal
+from ffsm_drake.plugins.estimators import estimators
+from ffsm_drake.plugins.planning import tvlqr
+from ffsm_drake.scenario import EMPTY, HELD, planned_part
+from ffsm_drake.systems.controllers import make_law
+
+# memoised functions of a mission as a whole
+_OF_MISSIONS = {
+    "_budget_of", "_clear_start", "_found", "_path", "_plan_clearance_of", "returned_shares",
+}  # fmt: skip
+
+
+def _drawn(seed):
+    generator = np.random.default_rng(seed)
+    duration, mass = generator.uniform([2.0, 20.0], [4.0, 200.0])
+    return load_scenario(
+        "tumbling_capture",
+        [
+            f"payload.nominal.mass={mass:.3f}",
+            f"reference.duration={duration:.1f}",
+            "sample_time=0.1",
+            "capture.approach.duration=2",
+            "simulator_config.max_step_size=0.1",
+        ],
+    )
+
+
+def _gains_of(scenario, grip):
+    return tvlqr._gains_of(dataclasses.replace(scenario, controller="tvlqr"), grip, {}, ())[:3]
+
+
+def _gains_along(scenario, grip):
+    noise = np.full(8, 1e-3)
+    noises = {
+        "position_noise": noise,
+        "velocity_noise": noise,
+        "walk": noise,
+        "bias_walk": 0.0 * noise,
+    }
+    axes = np.array([0, 1, 2, 6, 7, 8, 9, 10])
+    return estimators._gains_along(planned_part(scenario), grip, (), axes=axes, **noises)[1][:1]
+
+
+def _shared(scenario, grip):
+    return rehearsal._shared(scenario, grip, (), linearizer=SimpleNamespace(grip=grip))
+
+
+def _case_of(scenario, grip):
+    return case_of(scenario, grip).nominal.calc_mass_matrix(np.eye(12)[0])
+
+
+_OF_PHASES = {each.__name__: each for each in (_gains_of, _gains_along, _shared)}
+
+
+def _memoised():
+    """Parameters of every memoised function of a scenario, by the function's name."""
+    for path in Path(ffsm_drake.__file__).parent.rglob("*.py"):
+        text = path.read_text()
+        if "memoized(" not in text and "functools.lru_cache" not in text:
+            continue
+        for each in ast.walk(ast.parse(text)):
+            if isinstance(each, ast.FunctionDef) and any(
+                ast.unparse(mark).startswith(("memoized", "functools.lru_cache"))
+                for mark in each.decorator_list
+            ):
+                kinds = [ast.unparse(one.annotation) for one in each.args.args if one.annotation]
+                if {"Scenario", "BlockSetup"} & set(kinds):
+                    yield each.name, kinds
+
+
+def test_every_cache_of_a_scenario_is_of_missions_or_takes_the_grip():
+    found = dict(_memoised())
+    assert {name for name, kinds in found.items() if "Grip" in kinds} == {*_OF_PHASES}
+    assert {name for name, kinds in found.items() if "Grip" not in kinds} == _OF_MISSIONS
+
+
+@pytest.mark.parametrize("of", [*_OF_PHASES.values(), _case_of], ids=lambda each: each.__name__)
+def test_a_cache_distinguishes_grips(of, monkeypatch):
+    monkeypatch.setattr(rehearsal, "_expected", lambda linearizer: linearizer.grip)
+    scenario = _drawn(0)
+    held, empty, again = (content_of(of(scenario, grip)) for grip in (HELD, EMPTY, HELD))
+    assert held == again != empty
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_law_knows_the_payload_of_its_phase(seed):
+    """A law with a model, made for one grip after another."""
+    scenario = dataclasses.replace(_drawn(seed), controller="computed_torque")
+    masses = {
+        grip: make_law(scenario, make_nominal_plant(scenario, grip)).model.calc_mass_matrix(
+            np.eye(12)[0]
+        )[3, 3]
+        for grip in (HELD, EMPTY)
+    }
+    lost = masses[HELD] - masses[EMPTY]
+    assert math.isclose(lost, scenario.payload.nominal.mass, rel_tol=1e-12)
