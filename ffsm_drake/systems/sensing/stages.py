@@ -17,17 +17,22 @@ class Row:
 
 
 def wire_stages(builder: DiagramBuilder, stages: Sequence[System]) -> Row:
-    """Wire stages, which the builder holds, in a row: each reads the estimate of the one before."""
+    """Wire stages, which the builder holds, in a row: each reads the estimate of the one before.
+
+    A stage without the port ``measurement_is_new`` does not change what is new.
+    """
     for before, after in itertools.pairwise(stages):
         builder.Connect(before.GetOutputPort("estimated_state"), after.GetInputPort("state"))
     true, new = "true_state", "measurement_is_new"
-    for before, after in itertools.pairwise(stages):
-        if before.HasOutputPort(new) and after.HasInputPort(new):
-            builder.Connect(before.GetOutputPort(new), after.GetInputPort(new))
-    timed = [stage.GetOutputPort(new) for stage in stages if stage.HasOutputPort(new)]
+    timed: OutputPort | None = None
+    for stage in stages:
+        if timed is not None and stage.HasInputPort(new):
+            builder.Connect(timed, stage.GetInputPort(new))
+        if stage.HasOutputPort(new):
+            timed = stage.GetOutputPort(new)
     others = [stage.GetInputPort(true) for stage in stages if stage.HasInputPort(true)]
     return Row(
         inputs=(stages[0].GetInputPort("state"), *others),
         estimated_state=stages[-1].GetOutputPort("estimated_state"),
-        measurement_is_new=timed[-1] if timed else None,
+        measurement_is_new=timed,
     )

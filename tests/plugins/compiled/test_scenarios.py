@@ -274,6 +274,8 @@ def detected(random):
     """
     name, given, each = broken_parts(random)
     supervisor = ["supervisor={}"] if random.random() < 0.5 else []
+    if supervisor and name == "flexible_panels":  # it needs limits
+        supervisor.append("actuation.limit={joints: 50}")
     return name, [*given, "faults.detection={}", *supervisor, "controller=tdc"], each
 
 

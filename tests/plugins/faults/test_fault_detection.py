@@ -285,3 +285,11 @@ def test_faults_with_a_supervisor(name, unit, kind):
     (time,) = found.values()
     assert 6.0 < time < 8.0
     assert remarks == [f"{unit}: {kind} since 6.00 s, detected at {time:.2f} s"]
+
+
+@pytest.mark.parametrize("kind", ["biased", "frozen", "silent"])
+def test_a_slow_sensor_before_a_faulty_one_is_known_to_be_slow(kind):
+    event = {"unit": "sensing.joint_1_velocity", "kind": kind, "time": [0.02]}
+    faults = {"faults": {"detection": {}, "events": {"it": event}}}
+    scenario = load_scenario("slow_navigation", ["duration=0.1", faults])
+    assert make_rollout(scenario).run().outcome.completed
