@@ -17,7 +17,7 @@ from ffsm_drake.plugins.compiled.compiling import llvm
 from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.lanes import Lanes
 from ffsm_drake.plugins.compiled.logs import COMPILED, logs_of
-from ffsm_drake.plugins.compiled.loop import SCHEMES, steps_of
+from ffsm_drake.plugins.compiled.loop import SCHEMES
 from ffsm_drake.plugins.compiled.missions import NUDGE, MissionLane, advance
 from ffsm_drake.plugins.compiled.run import Case, Run, case_of
 from ffsm_drake.plugins.equations.comparison import held_to_drake
@@ -58,7 +58,6 @@ class Compiled(Engine):
     def check(self, scenario: Scenario) -> None:
         """See Engine."""
         config = scenario.simulator_config
-        steps = steps_of(scenario.sample_time, config.max_step_size)
         replaced = {each for each in scenario.blocks.choices() if not _OWN.fullmatch(each)}
         own = replaced | {name for name, is_there in (
             ("capture.closing", scenario.closing is not None),
@@ -69,7 +68,6 @@ class Compiled(Engine):
             ("a real-time clock", config.target_realtime_rate > 0.0),
             (f"integration_scheme {config.integration_scheme}",
              config.integration_scheme not in SCHEMES),
-            ("steps that do not divide a sample", not steps),
         ) if is_there}  # fmt: skip
         if own:
             raise NotCovered(", ".join(sorted(own)))

@@ -110,10 +110,13 @@ class Kernel:
           signals: those that are kept; None: all.
           laws: of the lanes, if they are called.
           plans: of their supervisors, if they have one.
-          ends: the runs end with the last sample, which is logged; no force steps several times.
+          ends: the runs end with the last sample, which is logged. Raises NotCovered: a force that
+            steps several times in a sample has signals.
 
         Raises what ends a call, such as KeyboardInterrupt.
         """
+        if ends and self.blocks.late:
+            raise NotCovered(f"{min(self.blocks.late)} at the end of a run")
         lanes = [*range(len(begin)), *[len(begin) - 1] * (self.width - len(begin))]
         cells = np.array([self.cells_of(parameters[lane], begin[lane]) for lane in lanes]).T.copy()
         sizes = {
@@ -175,8 +178,6 @@ class Kernel:
         rows = {name: values[:count] for name, values in log.items()}
         for name in self.blocks.late & log.keys():  # as they are before the next sample
             rows[name] = log[name][1 : count + 1]
-            if left is not None:
-                rows[name] = np.vstack([log[name][1:count], np.full_like(log[name][:1], np.nan)])
         return LaneEnd(
             LaneState(states, last, begin.first_at),
             rows,

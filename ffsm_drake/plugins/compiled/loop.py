@@ -206,7 +206,9 @@ class Blocks:
 
     @property
     def parameters(self) -> dict[str, int]:
-        """Numbers that a run begins with and keeps."""
+        """Numbers that a leg begins with and keeps. At a grasp they change: ``own`` is read from a
+        plant with another payload, blocks have ``with_payload``, and limp joints ``joint_force``.
+        """
         nx, nv = self.nq + self.nv, self.nv
         return {
             "own": self.tree.num_parameters, "law": self.num_parameters,
@@ -228,7 +230,7 @@ class Blocks:
             "loaded": _size(self.actuators),
             "pushed": _size(self.slow.values()),
             "touched": _size(self.fast.values()),
-            "touch": sum(_total(each) for each in map(_outputs, self.fast.values())),
+            "touch": sum(_total(self._outputs(each)) for each in self.fast.values()),
             "held_before": sum(self._held.values()) if self.last or self._gyrates else 0,
             "watched": 0 if self.watch is None else _size([self.watch]),
             "commanded": 0 if self.watch is None else self.nv,
@@ -366,7 +368,7 @@ class Blocks:
             }
         first = 0
         for each in self.fast.values():
-            for name, n in _outputs(each).items():
+            for name, n in self._outputs(each).items():
                 if name in self.recorded:
                     made[name] = ("touch", first, n.size)
                 first += n.size
@@ -639,6 +641,9 @@ class Blocks:
             "pushed_after": _row(after),
         }
 
+    def _outputs(self, force: Sampled) -> dict[str, np.ndarray]:
+        return outputs_of(force, self.coordinates)
+
     def _forces(self, cells: Any) -> dict[str, Any]:
         """The sampled forces with symbols, by name."""
         own = tuple(self.forces.values())
@@ -649,7 +654,7 @@ class Blocks:
         """The held outputs of forces that do not step once."""
         found, values = dict[str, dict[str, Any]](), cells.touch
         for name, each in self.fast.items():
-            found[name], values = _parts(values, _outputs(each))
+            found[name], values = _parts(values, self._outputs(each))
         return found
 
     def _touching(self, cells: Any) -> dict[str, Any]:
@@ -661,8 +666,9 @@ class Blocks:
             memory, values = _parts(values, _at_start(each))
             outputs = touches[name]
             if each.per_sample:
-                ports = sized(each.outputs, {}, "forces")
-                inputs = _read(each, each.inputs, signals)
+                ports = {port: value.size for port, value in self._outputs(each).items()}
+                wanted = sized(each.inputs, usual_sizes("forces", self.coordinates), "forces")
+                inputs = _read(each, wanted, signals)
                 outputs, memory = _stepped(blocks[name], ports, inputs, memory, Now(cells.t0[0]))
             made += [outputs[port] for port in each.outputs]
             after += [memory[own] for own in _at_start(each)]
@@ -801,9 +807,9 @@ def _total(values: Mapping[str, np.ndarray]) -> int:
     return sum(each.size for each in values.values())
 
 
-def _outputs(block: Sampled) -> dict[str, np.ndarray]:
-    """Its outputs, of zero."""
-    return _zeros(sized(block.outputs, {}, "forces"))
+def outputs_of(force: Sampled, coordinates: Coordinates) -> dict[str, np.ndarray]:
+    """The outputs of a force, of zero."""
+    return _zeros(sized(force.outputs, usual_sizes("forces", coordinates), "forces"))
 
 
 def _at_start(block: Sampled | Continuous) -> dict[str, np.ndarray]:
@@ -863,14 +869,16 @@ def kept_at(blocks: Iterable[Sampled | Continuous], state: np.ndarray) -> np.nda
     return np.concatenate([np.zeros(0), *(np.ravel(each) for of in kept for each in of.values())])
 
 
-def forces_at(forces: Iterable[Sampled], state: np.ndarray) -> dict[str, np.ndarray]:
+def forces_at(
+    forces: Iterable[Sampled], state: np.ndarray, coordinates: Coordinates
+) -> dict[str, np.ndarray]:
     """The states of forces of a spacecraft that was at a state before (n), by name."""
     own = tuple(forces)
     fast = [each for each in own if each.per_sample != 1]
     return {
         "pushed": kept_at([each for each in own if each.per_sample == 1], state),
         "touched": kept_at(fast, state),
-        "touch": np.zeros(sum(_total(_outputs(each)) for each in fast)),
+        "touch": np.zeros(sum(_total(outputs_of(each, coordinates)) for each in fast)),
     }
 
 

@@ -134,6 +134,8 @@ class Case:
         config = scenario.simulator_config
         parts = max((each.per_sample for each in self.forces.values()), default=1) or 1
         self.steps = steps_of(scenario.sample_time, config.max_step_size, parts)
+        if not self.steps:
+            raise NotCovered("steps that do not divide a sample")
         self.parameters = {
             "own": own.parameters(self.true.context),
             **{name: each.values for name, each in of_blocks.items()},
@@ -201,7 +203,7 @@ class Case:
             "drift": self._drift_at_start(),
             "stored": kept_at(self.sensors, known),
             "loaded": kept_at(self.actuators, known),
-            **forces_at(self.forces.values(), known),
+            **forces_at(self.forces.values(), known, self.coordinates),
         }
 
     def carrying(self, payload: MassProperties) -> "Case":

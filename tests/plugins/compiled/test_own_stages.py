@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 from compared_runs import check
-from own_stage import Mean
+from own_stage import Mean, Pull
 
 from ffsm_drake import load_scenario, simulate_many
 
@@ -54,6 +54,27 @@ class Branching(Mean):
 def test_a_phase_takes_one_sample_and_names_of_memory_have_no_order():
     (record, _) = check(scenarios("test_own_stages:Branching"))
     assert record.engine == "compiled"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Often(Pull):
+    per_sample = 4
+
+
+@pytest.mark.slow
+def test_a_force_can_step_several_times_in_a_sample():
+    def of(name, *given):
+        block = f"blocks.forces.own.system={name}"
+        return load_scenario("postcapture", ["duration=0.1", "random_seed=1", block, *given])
+
+    (record,) = check([of("test_own_stages:Often", "simulator_config.max_step_size=0.00125")])
+    assert record.engine == "compiled"
+    (other,) = simulate_many([of("own_stage:Pull")])
+    own, once = (each.dataset["force_own"].values for each in (record, other))
+    assert np.abs(own - once).max() > 1e-9
+    uneven = of("test_own_stages:Often", "simulator_config.max_step_size=0.002")
+    (record,) = simulate_many([uneven], engine="compiled")
+    assert record.engine == "drake (not covered: steps that do not divide a sample)"
 
 
 class _Hostile(Mean):
