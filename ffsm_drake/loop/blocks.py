@@ -149,7 +149,6 @@ DISTURBANCE, GRIPPER = "forces.disturbance", "forces.gripper"
 _SEVERAL = ("sensing.<name>", "forces.<name>")
 # Blocks that may be ``Sampled``; the forces are held from a sample to the next.
 _SAMPLED = ("sensing", "reference", "forces")
-_MOST_STEPS = 1000  # of a force in a sample
 # Names of systems that are part of every loop.
 _TAKEN = (
     *("plant", "measurement", "states", "reference", "sensing", "controller", "actuation"),
@@ -267,9 +266,6 @@ def _make_block(factory: Factory, setup: BlockSetup, *, kind: str, place: str) -
     if kind not in _SAMPLED:
         kinds = ", ".join(_SAMPLED)
         raise BlockError(f"{place}: a Sampled block is one of {kinds}; write a Drake system")
-    if made.per_sample not in (range(_MOST_STEPS) if kind == "forces" else (1,)):
-        wanted = f"a whole number below {_MOST_STEPS} for a force, 1 for other blocks"
-        raise BlockError(f"{place}: per_sample must be {wanted}, not {made.per_sample!r}")
     return SampledSystem(
         made,
         name=setup.name,

@@ -210,16 +210,16 @@ class ClosedLoop:
           context_before: root context of the other loop.
           reference: [q_d; v_d] (nq + nv) at the start of this loop's motion, if the nominal model
             changes; None: it does not change.
-          afresh: blocks that keep their own states.
+          afresh: blocks that keep their own states; of the controller, not the force that acts.
         """
         for name, block in self.blocks.items():
-            if name in afresh or name not in before.blocks:
+            if name not in before.blocks:
                 continue
             other, context = before.blocks[name], block.GetMyMutableContextFromRoot(root_context)
-            then = other.GetMyContextFromRoot(context_before)
-            if reference is not None and isinstance(block, SampledController):
-                block.resume(context, other, then, reference)
-            else:
+            then, is_afresh = other.GetMyContextFromRoot(context_before), name in afresh
+            if isinstance(block, SampledController) and (is_afresh or reference is not None):
+                block.resume(context, other, then, None if is_afresh else reference)
+            elif not is_afresh:
                 context.SetStateAndParametersFrom(then)
 
 

@@ -152,6 +152,10 @@ class Clearance:
         pairs = [(k, pair) for k, both in enumerate(self.pairs) for pair in self._solids_of(*both)]
         self._measured = np.array([pair for _, pair in pairs], dtype=int).reshape(-1, 2)
         self._bodies_of = [self.pairs[k] for k, _ in pairs]
+        # the pairs of shapes that must keep clear, by those of bodies that may touch
+        self._apart = dict[
+            frozenset[frozenset[BodyIndex]], tuple[np.ndarray, list[tuple[RigidBody, RigidBody]]]
+        ]()
 
     def _gather(self, is_plate: Mapping[BodyIndex, bool], *, invented: bool) -> None:
         """Find the shapes that count, and name those that cannot be measured."""
@@ -209,11 +213,12 @@ class Clearance:
         whole = np.zeros(self._places.size)
         whole[self._places[: q.size]] = q
         self._move(whole)
-        if not (met := self._may_touch()):
-            return self._measured, self._bodies_of
-        bodies = (frozenset(body.index() for body in both) for both in self._bodies_of)
-        kept = [k for k, both in enumerate(bodies) if both not in met]
-        return self._measured[kept], [self._bodies_of[k] for k in kept]
+        met = frozenset(self._may_touch())
+        if met not in self._apart:
+            bodies = (frozenset(body.index() for body in both) for both in self._bodies_of)
+            kept = [k for k, both in enumerate(bodies) if both not in met]
+            self._apart[met] = self._measured[kept], [self._bodies_of[k] for k in kept]
+        return self._apart[met]
 
     def _move(self, q: np.ndarray) -> None:
         """Put the shapes where a configuration of the plant has them."""

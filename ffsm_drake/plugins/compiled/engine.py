@@ -38,7 +38,7 @@ BLOCKS = {"reference", "sensing", "controller", "actuation", "forces.disturbance
 # with signals
 _PARTS = {
     "sensing.detection", "flexible", "actuation.wheels", "actuation.drives",
-    "actuation.thrusters", "supervisor",
+    "actuation.thrusters", "supervisor", "forces.gripper",
 }  # fmt: skip
 _OWN = re.compile(r"(sensing|phases)\..*|forces\.(?!disturbance|gripper).*")  # of users
 _LEFT = "its fault detection isolates a unit, or it diverges"
@@ -60,7 +60,6 @@ class Compiled(Engine):
         config = scenario.simulator_config
         replaced = {each for each in scenario.blocks.choices() if not _OWN.fullmatch(each)}
         own = replaced | {name for name, is_there in (
-            ("capture.closing", scenario.closing is not None),
             ("faults.detection with capture.approach",
              scenario.approach is not None and detects(scenario)),
             ("contacts", scenario.contacts),

@@ -151,7 +151,7 @@ class Kernel:
         """The rows of a leg."""
         read = {name: rows[name][first : first + samples + 1] for name in self.read}
         if self.blocks.watch is not None:  # which may change what is planned
-            read = {name: values.copy() for name, values in read.items()}
+            read |= {name: values.copy() for name, values in read.items() if "noise" not in name}
         if "noise" in read and samples and not ends:
             read["noise"] = read["noise"].copy()
             read["noise"][-1] = read["noise"][-2]

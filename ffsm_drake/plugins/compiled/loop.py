@@ -22,7 +22,6 @@ from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.equations import equations
 from ffsm_drake.plugins.equations.errors import tracking_errors
 from ffsm_drake.plugins.equations.tree import Tree
-from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.controllers.law_block import LawBlock
@@ -196,8 +195,8 @@ class Blocks:
 
     @property
     def per_sample(self) -> int:
-        """See ``per_sample_of``."""
-        return per_sample_of(self.forces.values())
+        """Steps of forces in a sample."""
+        return max((each.per_sample for each in self.fast.values()), default=1) or 1
 
     @property
     def late(self) -> frozenset[str]:
@@ -868,17 +867,6 @@ def kept_at(blocks: Iterable[Sampled | Continuous], state: np.ndarray) -> np.nda
         for each in blocks
     ]
     return np.concatenate([np.zeros(0), *(np.ravel(each) for of in kept for each in of.values())])
-
-
-def per_sample_of(forces: Iterable[Sampled]) -> int:
-    """Steps of forces in a sample. Raises NotCovered: they differ, or depend on its number."""
-    several = [each for each in forces if each.per_sample > 1]
-    counts = {each.per_sample for each in several}
-    if len(counts) > 1:
-        raise NotCovered(f"forces that step {' and '.join(map(str, sorted(counts)))} times")
-    if any(len(each.phase(0)) for each in several):
-        raise NotCovered("a phase of a force that steps several times in a sample")
-    return max(counts, default=1)
 
 
 def forces_at(

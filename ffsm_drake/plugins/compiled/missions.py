@@ -130,8 +130,11 @@ class LaneStage:
         own, plant = self.begin.cells, self._plant
         cells = dict(before.begin.cells)
         cells["x"] = np.concatenate([own["x"][:plant], cells["x"][plant:]])
+        cells["touch"] = own["touch"]  # of a gripper that does not close
         first_at = before.begin.first_at
-        if reference is not None:
+        if "controller" in afresh:
+            first_at, cells["memory"] = self.begin.sample, own["memory"]
+        elif reference is not None:
             first_at = self.begin.sample
             like, values = self.run.law.initial_state(), cells["memory"]
             ends = np.cumsum([np.size(each) for each in like.values()])[:-1]
@@ -141,6 +144,8 @@ class LaneStage:
             cells["memory"] = row_of(self.run.controller.resumed(memory, law, reference))
         if "reference" not in afresh and self.followed is not None:
             self.followed = before.followed or self.followed
+        if (held := self.run.parameters["joint_force"]).size:  # the law reads what acts now
+            cells["applied"] = np.concatenate([cells["applied"][: -held.size], held])
         if "supervisor" in afresh:
             cells["watched"] = np.zeros_like(cells["watched"])
         self.begin = LaneState(cells, self.begin.sample, first_at)

@@ -4,7 +4,7 @@ Arrays of floats, declared gains and the masses of models are parameters, which 
 runs. All other fields are constants of the traced code.
 
 An object with ``constants`` is a constant. What a block names in ``in_phase`` is read by its
-``phase`` alone, whose numbers each sample reads.
+``phase`` alone, or by ``at_samples``, whose numbers each sample reads.
 
 A law, or a part of it, can name tables (n, ...) in ``by_sample``. Of these, a sample uses one row,
 which depends only on the sample's number and the desired configuration. ``at_samples(q_d)`` returns

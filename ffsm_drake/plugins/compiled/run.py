@@ -14,14 +14,7 @@ from pydrake.systems.framework import System
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.loop.blocks import DISTURBANCE, factory_of, settle_faults
-from ffsm_drake.plugins.compiled.loop import (
-    Blocks,
-    forces_at,
-    kept_at,
-    per_sample_of,
-    phases_of,
-    steps_of,
-)
+from ffsm_drake.plugins.compiled.loop import Blocks, forces_at, kept_at, phases_of, steps_of
 from ffsm_drake.plugins.compiled.noise import Noise, noise_of
 from ffsm_drake.plugins.compiled.parameters import (
     Parameters,
@@ -139,7 +132,7 @@ class Case:
             force.quantization, key="actuation.quantization", default=0.0
         )
         config = scenario.simulator_config
-        parts = per_sample_of(self.forces.values())
+        parts = max((each.per_sample for each in self.forces.values()), default=1) or 1
         self.steps = steps_of(scenario.sample_time, config.max_step_size, parts)
         if not self.steps:
             raise NotCovered("steps that do not divide a sample")
@@ -502,7 +495,8 @@ class Run:
         """What it reads at each sample (samples, n), by the names of ``Blocks.row``."""
         if not self.blocks.num_planned:
             return self.case.rows
-        planned = rows_of(self.law, self.case.planned["reference"][:, : self.blocks.nq])
+        until = self.case.window.stop
+        planned = rows_of(self.law, self.case.planned["reference"][:until, : self.blocks.nq])
         return self.case.rows | {"planned": planned}
 
     @property

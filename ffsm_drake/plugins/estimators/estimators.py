@@ -283,6 +283,7 @@ class CoupledEstimator(Estimator):
 
     random_walks: ClassVar[tuple[str, ...]] = ("walk", "force_walk")
     by_sample: ClassVar[tuple[str, ...]] = ("gain",)
+    in_phase: ClassVar[tuple[str, ...]] = ("postures",)  # compiled, ``at_samples`` alone reads them
     separate: KalmanEstimator | LateKalmanEstimator
     axes: np.ndarray  # (n,) the coordinates that are taken together
     biased: np.ndarray  # (k,) those of them whose velocities have a bias

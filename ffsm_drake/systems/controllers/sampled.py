@@ -143,7 +143,7 @@ class SampledController(LeafSystem):
         context: Context,
         before: "SampledController",
         context_before: Context,
-        reference: np.ndarray,
+        reference: np.ndarray | None,
     ) -> None:
         """Take over from another controller; the next sample is a first one, as velocities jump.
 
@@ -151,14 +151,16 @@ class SampledController(LeafSystem):
           context: this controller's context.
           before: the other controller, with the same law for another payload.
           context_before: the other controller's context.
-          reference: [q_d; v_d] (nq + nv) at that instant.
+          reference: [q_d; v_d] (nq + nv) at that instant; None: its law begins anew.
         """
+        context.SetDiscreteState(self._force, before.state(context_before, "generalized_force"))
+        if reference is None:
+            return
         memory = {
             name: before.state(context_before, name).reshape(shape)
             for name, shape in before._shapes.items()
         }
         resumed = self.resumed(memory, before.law, reference)
-        context.SetDiscreteState(self._force, before.state(context_before, "generalized_force"))
         for name, index in self._memory.items():
             context.SetDiscreteState(index, np.ravel(resumed[name]))
 

@@ -8,7 +8,7 @@ import pytest
 from compared_runs import check
 from own_stage import Mean, Pull
 
-from ffsm_drake import BlockError, load_scenario, make_closed_loop, simulate_many
+from ffsm_drake import load_scenario, simulate_many
 
 
 def scenarios(system, given=()):
@@ -75,36 +75,6 @@ def test_a_force_can_step_several_times_in_a_sample():
     uneven = of("test_own_stages:Often", "simulator_config.max_step_size=0.002")
     (record,) = simulate_many([uneven], engine="compiled")
     assert record.engine == "drake (not covered: steps that do not divide a sample)"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Phased(Often):
-    def phase(self, sample):
-        return [sample]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Oftener(Pull):
-    per_sample = 5
-
-
-@pytest.mark.parametrize("names", [("Often", "Oftener"), ("Phased",)])
-def test_forces_with_other_instants_are_not_compiled(names):
-    blocks = [f"blocks.forces.{each}.system=test_own_stages:{each}" for each in names]
-    run = load_scenario("postcapture", ["duration=0.05", *blocks])
-    (record,) = simulate_many([run], engine="compiled")
-    assert record.outcome.completed
-    assert record.engine.startswith("drake (not covered: ")
-    assert ("4 and 5 times" if len(names) == 2 else "phase of a force") in record.engine
-
-
-@pytest.mark.parametrize("value", [-1, 2.5, "4", 10**9, None])
-@pytest.mark.parametrize("place", ["forces", "sensing"])
-def test_steps_in_a_sample_are_a_whole_number_of_forces(monkeypatch, value, place):
-    of = Often if place == "forces" else Mean
-    monkeypatch.setattr(of, "per_sample", 4 if place == "sensing" else value)
-    with pytest.raises(BlockError, match="per_sample must be"):
-        make_closed_loop(load_scenario("postcapture"), blocks={f"{place}.own": of.from_setup})
 
 
 class _Hostile(Mean):

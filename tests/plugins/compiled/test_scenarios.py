@@ -229,6 +229,30 @@ def approaches(random):
     return name, [*given, "duration=1.3"], each
 
 
+def grippers(random):
+    """A gripper that closes, with limp joints or not, on a target that it holds, misses, or lets
+    slip; then a retreat, perhaps with a supervisor; the target's rate and mass by run.
+    """
+    joints = "{joint_1: 0.16, joint_2: 0.37, joint_3: 1.04, joint_4: 0.58, joint_5: -0.69}"
+    friction, limp = random.uniform(0.05, 0.5), random.choice(["limp", "controlled"])
+    given = [
+        f"capture.closing={{time: 0.2, hold: 0.2, friction: {friction:.2f}, joints: {limp}}}",
+        f"capture.closing.preload={10.0 ** random.uniform(-1, 3):.3f}",
+        "capture.approach.duration=0.6",
+        f"capture.approach.posture.joints={joints}",
+    ]
+    some = ["supervisor={}", "capture.envelope.position=0.005", FAST]
+    given += [each for each in some if random.random() < 0.3]
+    if random.random() < 0.7:
+        given.append("capture.retreat={tries: 1, duration: 0.4, distance: 0.02}")
+    rates = np.round(random.uniform(-0.03, 0.03, size=(3, 3)), 4).tolist()
+    each = [
+        [f"capture.rate={rate}", f"payload.truth.mass={90 + 10 * k}"]
+        for k, rate in enumerate(rates)
+    ]
+    return "tumbling_capture", [*given, "duration=1.6"], each
+
+
 def supervisors(random):
     """Supervisors that act again and again, once or not, with plans of their own."""
     name = str(random.choice(["flight_sensors", "envisat", "slow_navigation"]))
@@ -255,7 +279,7 @@ def test_laws_that_use_frames_have_the_runs_of_drake(name, law):
     "draw",
     [
         late_sensors, flexible_parts, captures, undriven_bases, wheels, drives, environments,
-        flexible_joints, broken_parts, approaches,
+        flexible_joints, broken_parts, approaches, grippers,
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("seed", range(DRAWS))
