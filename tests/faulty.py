@@ -186,7 +186,7 @@ def _faulty(fault, name, method):
 
 
 LAW_METHODS = (
-    "step", "initial_state", "held", "resume", "switching_gain_after", "from_setup", "__init__",
+    "step", "initial_state", "held", "resume", "from_setup", "__init__",
     "by_axis", "reaching_gain", "tracks_frame", "random_walks", "contacts_read", "starting_gains",
     "import",
 )  # fmt: skip

@@ -77,10 +77,6 @@ class TerminalSlidingMode(InjectedDynamics):
     def held(self) -> Mapping[str, float | None]:
         return {"switching_gain": None}
 
-    def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
-        rate = np.where(np.abs(s) > self.epsilon, self.alpha * np.abs(s), -g / self.decay)
-        return np.minimum(np.maximum(g + self.sample_time * rate, 0.0), self.g_max)
-
     def resume(self, state: State, ratio: np.ndarray) -> State:
         """See InjectedDynamics. G continues as a bound on forces."""
         return {"switching_gain": np.abs(ratio) @ state["switching_gain"]}
@@ -93,4 +89,6 @@ class TerminalSlidingMode(InjectedDynamics):
         s = e + signed_power(e_dot, p, self.width_rate) / self.slope
         u = a_d + self.slope / p * signed_power(e_dot, 2.0 - p, self.width_rate)
         u = u + self.k_s * s + g * signed_power(s, 0.0, self.width_s)
-        return u, {"sliding_variable": s, "switching_gain": self.switching_gain_after(s, g)}
+        rate = np.where(np.abs(s) > self.epsilon, self.alpha * np.abs(s), -g / self.decay)
+        g = np.minimum(np.maximum(g + self.sample_time * rate, 0.0), self.g_max)
+        return u, {"sliding_variable": s, "switching_gain": g}

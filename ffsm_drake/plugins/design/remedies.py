@@ -18,11 +18,11 @@ from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.plugins.design.remarks import posture_limits
-from ffsm_drake.plugins.design.stability.adaptation import axis_law, expected_gains, is_euler
+from ffsm_drake.plugins.design.stability.adaptation import axis_law, is_euler
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.mission import LegVerdict, linear_verdict
 from ffsm_drake.plugins.design.stability.one_axis import tolerated_eta
-from ffsm_drake.plugins.design.stability.rehearsal import MANY, rehearse
+from ffsm_drake.plugins.design.stability.rehearsal import MANY, share_diverged
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, controller_key, override_scenario
 from ffsm_drake.spacecraft.plant import files_read
@@ -94,23 +94,20 @@ def _of_limits(scenario: Scenario) -> Iterator[Advice]:
     if scenario.actuation.limit is None or is_rehearsed(scenario):
         return
 
-    def share(changed: Scenario) -> float:
-        with Linearizer(changed) as linearizer:
-            held = expected_gains(linearizer)
-            mean = linearizer.follow(held=held)
-        return rehearse(changed, seeds=MANY, held=held, mean=mean).share_diverged
+    def stays(changed: Scenario) -> bool:
+        return share_diverged(changed, seeds=MANY) == 0.0
 
     def acts(name: str) -> bool:
         return declared_gains(scenario)[name].feedback
 
-    if share(scenario) == 0.0:
+    if stays(scenario):
         return
     for reason, trials in (
         ("larger limits", _larger_limits(scenario)),
         ("smaller gains", _smaller(scenario, acts, _MUCH_LESS)),
         ("a longer motion", _longer(scenario)),
     ):
-        yield from _first(scenario, trials, lambda changed: share(changed) == 0.0, reason)
+        yield from _first(scenario, trials, stays, reason)
 
 
 def _of_faults(scenario: Scenario) -> Iterator[Advice]:

@@ -2,9 +2,8 @@
 
 Linear: the wired loop of every leg along the plan, without limits and noise. Load: the force that a
 capture needs, compared with its limits. Rehearsed: a run of the mission, with its limits, its noise
-and its grasp. Limits: the linearised loop with limits and several noise sequences, if actuators
-saturate or quantise, or if the run nearly reaches force limits. Parts of the verdict can disagree,
-and a line reports this.
+and its grasp. Limits: further runs with other noise, if there are actuators of the base, or if the
+run nearly reaches force limits. Parts of the verdict can disagree, and a line reports this.
 """
 
 import dataclasses
@@ -25,15 +24,15 @@ from ffsm_drake.plugins.design.remarks import plan_clearance, plan_limits, plan_
 from ffsm_drake.plugins.design.remedies import remedies
 from ffsm_drake.plugins.design.remedy_file import run_advice
 from ffsm_drake.plugins.design.stability import Margins, adaptation_remark, stability
-from ffsm_drake.plugins.design.stability.adaptation import expected_gains
 from ffsm_drake.plugins.design.stability.linear_loop import NotLinear
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.load import advice, predicted_load, saturated_shares
 from ffsm_drake.plugins.design.stability.mission import LinearVerdict, linear_verdict
 from ffsm_drake.plugins.design.stability.rehearsal import (
+    FAR,
     MANY,
+    SEEDS,
     Rehearsal,
-    expected_rehearsal,
     is_near_limits,
     rehearse,
 )
@@ -46,8 +45,7 @@ from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, checked
 from ffsm_drake.systems.part import Advice
 
-_RARE = 0.02  # share of noise sequences; resolution of the linearised loop
-_FAR = 100.0  # tolerances; beyond it a run has not done its task
+_RARE = 0.02  # share of noise sequences with divergence that is no alarm
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -61,7 +59,7 @@ class RehearsedRun:
     @property
     def fails(self) -> bool:
         """Whether it failed, ended off its plan, or far from where it should."""
-        far = self.ending.status == NOT_SETTLED and self.ending.excess > _FAR
+        far = self.ending.status == NOT_SETTLED and self.ending.excess > FAR
         return self.ending.is_failure or far or self.ending.gave_up
 
     @property
@@ -92,8 +90,7 @@ class Verdict:
     linear: LinearVerdict | None
     not_linear: str  # why there is no linear verdict; empty if there is one
     load: float | None  # with a capture: largest force as a fraction of its limit
-    # the linearised loop under actuators or limits that saturate, several noises
-    noises: Rehearsal | None
+    noises: Rehearsal | None  # runs with other noise, if the force may saturate
     run: RehearsedRun | None
     planned: tuple[str, ...] = ()  # without a run: ``plan_limits``
     margins: Margins | None = None
@@ -118,17 +115,7 @@ class Verdict:
 
     @property
     def _diverges_by_noise(self) -> bool:
-        if self.noises is None or self._noises_are_contradicted:
-            return False
-        return self.noises.share_diverged > _RARE
-
-    @property
-    def _noises_are_contradicted(self) -> bool:
-        """Whether the linearised loop diverges with every noise sequence, but the run settles: it
-        is too far from its plan for a linearised loop.
-        """
-        settles = self.run is not None and self.run.ending.is_settled
-        return self.noises is not None and self.noises.share_diverged == 1.0 and settles
+        return self.noises is not None and self.noises.share_diverged > _RARE
 
     @property
     def is_linearly_unstable(self) -> bool:
@@ -170,7 +157,7 @@ class Verdict:
         if self.margins is not None:
             yield f"margins (after the grasp): {self.margins.verdict}"
         if self.noises is not None and not self._is_in_margins:
-            yield f"limits (linearised loop, {self.noises.sequences}): {self.noises}"
+            yield f"limits ({self.noises.sequences}): {self.noises}"
         for each in self.planned:
             yield f"plan: {each}"
         if self.run is not None:
@@ -179,11 +166,6 @@ class Verdict:
                 yield (
                     "linear and rehearsed disagree: the linear loop is unstable, but the run "
                     "settles"
-                )
-            if self._noises_are_contradicted:
-                yield (
-                    "limits and rehearsed disagree: the linearised loop diverges with every noise "
-                    "sequence, but the run settles"
                 )
             if self._linear_is_known and not self.is_linearly_unstable and self.run.fails:
                 yield (
@@ -326,11 +308,11 @@ def verdict(
         for name, shares in expected.noises.saturated.items():
             saturated[name] = max(saturated.get(name, 0.0), float(np.median(shares)))
     settles = not expected.is_alarm and (expected.run is None or expected.run.ending.is_settled)
-    fails = expected._diverges_by_noise or (expected.run is not None and expected.run.fails)
+    is_lost = expected._diverges_by_noise or (expected.run is not None and expected.run.fails)
     return dataclasses.replace(
         expected,
         advice=advice(scenario, saturated, settles=settles),
-        remedies=remedies(scenario, fails=fails)
+        remedies=remedies(scenario, fails=is_lost)
         if advises and rehearsal and expected.is_alarm
         else (),
     )
@@ -385,7 +367,7 @@ def _without_a_run(
         found["margins"] = stability(scenario, linearizer=linearizer)
         found["noises"] = found["margins"].rehearsal
     elif is_rehearsed(scenario) and not linear.is_alarm:
-        found["noises"] = expected_rehearsal(linearizer)
+        found["noises"] = rehearse(scenario, on_drake=False)
 
 
 @step("rehearsing the mission")
@@ -407,16 +389,14 @@ def _rehearsed(found: dict[str, Any], saturated: dict[str, float], scenario: Sce
 
 @step("rehearsing with other noise sequences")
 def _under_limits(found: dict[str, Any], scenario: Scenario, log: RunLog) -> None:
-    """Rehearse more noise sequences if a successful run came so near to ``actuation.limit`` that
-    other noise may exceed it.
+    """Run more noise sequences of a run that did not fail, with actuators of the base or so near
+    to ``actuation.limit`` that other noise may exceed it.
     """
-    linear = found["linear"]
-    if found["noises"] is not None or linear is None or linear.status != "stable":
+    linear, run = found["linear"], found["run"]
+    if found["noises"] is not None or linear is None or linear.is_alarm or run.fails:
         return
     force = log.generalized_force[log.time >= scenario.grasp_time]
-    if found["run"].fails or not is_near_limits(scenario, log.coordinates, force):
-        return
-    with Linearizer(scenario) as linearizer:
-        held = expected_gains(linearizer)
-        mean = linearizer.follow(held=held)
-    found["noises"] = rehearse(scenario, seeds=MANY, held=held, mean=mean)
+    if is_rehearsed(scenario):
+        found["noises"] = rehearse(scenario, seeds=SEEDS)
+    elif linear.status == "stable" and is_near_limits(scenario, log.coordinates, force):
+        found["noises"] = rehearse(scenario, seeds=MANY)

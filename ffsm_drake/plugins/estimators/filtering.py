@@ -57,10 +57,6 @@ class FilteredLaw(ControlLaw):
         """The reaching gain of the law."""
         return self.law.reaching_gain
 
-    def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """Return the switching gain of the law."""
-        return self.law.switching_gain_after(s, g)
-
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         """One control sample; see ControlLaw."""
         (low, first, second), (b0, b1, b2), (a1, a2) = (

@@ -218,11 +218,6 @@ class MinimalLaw(ControlLaw):
             rest=lambda k_s: self._whole(own.rest(k_s[..., self.model.free])),
         )
 
-    def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """See ControlLaw."""
-        free = self.model.free
-        return self._whole(self.law.switching_gain_after(s[..., free], g[..., free]))
-
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         """One control sample; see ControlLaw."""
         free, following = self.model.free, self.model.following

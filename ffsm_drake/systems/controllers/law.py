@@ -221,13 +221,6 @@ class ControlLaw(abc.ABC):
         """
         return None
 
-    def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """Return the switching gain G (nv) at the next sample, from s and G (nv) at this sample.
-
-        Override this method in a law that adapts G. By default G is constant.
-        """
-        return g
-
     @property
     def random_walks(self) -> tuple[str, ...]:
         """Keys of ``estimator`` that ``ffsm design`` chooses together with the gains, such as

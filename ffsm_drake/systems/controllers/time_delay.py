@@ -83,10 +83,6 @@ class InjectedDynamics(abc.ABC):
             )
         return self
 
-    def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
-        """See ControlLaw."""
-        return g
-
     @classmethod
     def gains_for(cls, omega: Any, k_s: Any) -> dict[str, Any]:
         """Return the gains that place the poles of an axis at the natural frequency ``omega``.
@@ -187,9 +183,6 @@ class TimeDelayControl(ControlLaw):
     def with_reaching_gain(self, k_s: np.ndarray) -> Self:
         """Return the law with another K_s (..., nv), 1/s, at the start."""
         return dataclasses.replace(self, dynamics=self.dynamics.with_reaching_gain(k_s))
-
-    def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
-        return self.dynamics.switching_gain_after(s, g)
 
     def resume(self, state: State, before: ControlLaw, reference: np.ndarray) -> State:
         """See ControlLaw: accelerations in the memory continue as the forces that they took."""

@@ -2,8 +2,6 @@
 planned".
 """
 
-import dataclasses
-
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -110,7 +108,7 @@ def test_a_run_that_ends_off_its_plan_has_not_settled(mode):
 
 @pytest.mark.long
 def test_a_limit_within_the_reach_of_the_noise_is_rehearsed_with_more():
-    """3 of 48 seeds diverge at 2.6 N m, 11 of 16 at 2.45 N m, although that of the scenario
+    """3 of 48 other seeds fail at 2.6 N m, 11 of 16 at 2.45 N m, although that of the scenario
     settles.
     """
     shares = {}
@@ -120,21 +118,8 @@ def test_a_limit_within_the_reach_of_the_noise_is_rehearsed_with_more():
         assert found.is_alarm
         assert "of 64 noise sequences" in found.warnings[0]
         shares[limit] = found.noises.share_diverged
-    assert 0.02 < shares[2.6] < 0.25
-    assert 0.5 < shares[2.45] < 0.95
-
-
-@pytest.mark.long
-def test_a_run_that_settles_contradicts_a_loop_that_always_diverges():
-    found = verdict(
-        load_scenario("flight_sensors", ["actuation.limit.base_rotation=2.6"]), advises=False
-    )
-    assert found.is_alarm
-    always = dataclasses.replace(found.noises, diverged=np.full(64, 5.0))
-    contradicted = dataclasses.replace(found, noises=always)
-    assert not contradicted.is_alarm
-    assert any(line.startswith("limits and rehearsed disagree: ") for line in contradicted.lines)
-    assert contradicted.conclusion.startswith("expected to settle, with commands beyond")
+    assert 0.02 < shares[2.6] < 0.15
+    assert 0.45 < shares[2.45] < 0.8
 
 
 @pytest.mark.long

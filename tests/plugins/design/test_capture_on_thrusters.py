@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from ffsm_drake import load_scenario, simulate, simulate_many
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.load import advice, predicted_load
-from ffsm_drake.plugins.design.stability.rehearsal import rehearse
 from ffsm_drake.plugins.design.verdict import helpful_remarks, verdict
 from ffsm_drake.runs.limits import CLEARANCE
 from ffsm_drake.scenario import override_scenario
@@ -28,13 +27,6 @@ def mission(rate, *overrides):
         "capture_on_thrusters",
         [f"capture.rate={(np.radians(rate) * AXIS).tolist()}", *overrides],
     )
-
-
-@pytest.mark.slow
-def test_a_fast_stop_is_rehearsed_with_postures_close_enough():
-    """Between postures 10 s apart the stable loops of an 8 deg/s stop have an unstable mean."""
-    found = rehearse(mission(8.0, "controller=tdc", "duration=26"), seeds=1)
-    assert found.share_diverged == 0.0
 
 
 @pytest.mark.parametrize("assisted", [True, False])
@@ -63,7 +55,7 @@ def test_no_false_alarm():
     assert [*found.run.limits] == [CLEARANCE]  # base and target, rightly
     assert "rehearsed" in found.warnings[0]
     assert not any(word in found.warnings[0] for word in ("linear", "under its limits"))
-    assert found.margins.verdict.startswith("linearised loop stable with its actuators: ")
+    assert found.margins.verdict.startswith("stable with its actuators: ")
 
 
 def craft(*, torque, rate, law, panel, layout, stop, noise, seed):

@@ -434,13 +434,19 @@ class _Search:
             if not whole and not self._is_rejected(point) and requirement.baseline is not None:
                 lost = requirement.baseline.margin_lost_by(candidate)
                 point = dataclasses.replace(point, lost_margin=lost)
-            if is_rehearsed(candidate) and (whole or not self._is_rejected(point)):
-                rehearsal = rehearse(candidate, seeds=_SEEDS)
+            if (
+                is_rehearsed(candidate)
+                and (whole or not self._is_rejected(point))
+                and (rehearsal := rehearse(candidate, seeds=_SEEDS)) is not None
+            ):
                 noise = dataclasses.replace(noise, noise_error=rehearsal.rms_error)
                 point = dataclasses.replace(point, rehearsal=rehearsal)
             if not whole and self._is_rejected(point):
                 return point
-            prediction = noise.with_mean(*linearizer.follow(held=held), period=period)
+            error, force = linearizer.follow(held=held)
+            if point.rehearsal is not None:  # the error of whole runs
+                error = np.zeros_like(error)
+            prediction = noise.with_mean(error, force, period=period)
             return dataclasses.replace(point, prediction=prediction, is_run=True)
 
     def _is_rejected(self, point: DesignPoint) -> bool:

@@ -9,6 +9,7 @@ import math
 import numpy as np
 
 from ffsm_drake.common.guard import guarded
+from ffsm_drake.common.numbers import number
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.plugins.design.stability.adaptation import (
     axis_law,
@@ -29,7 +30,7 @@ from ffsm_drake.plugins.design.stability.one_axis import (
     tolerated_eta,
 )
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
-from ffsm_drake.plugins.design.stability.rehearsal import Rehearsal, expected_rehearsal
+from ffsm_drake.plugins.design.stability.rehearsal import Rehearsal, rehearse
 from ffsm_drake.plugins.flexible.bodies import VibrationMode
 from ffsm_drake.scenario import Scenario, checked, controller_key
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -94,7 +95,7 @@ class Margins:
     locked_eta: tuple[float, float]
     # None for a law that is not by axis, and with delays
     axes: AxisMargins | None
-    # with rehearsed parts, for a loop that is stable without their limits
+    # with rehearsed parts, for a loop that is stable without their limits; of compiled runs
     rehearsal: Rehearsal | None = None
 
     @property
@@ -186,19 +187,11 @@ class Margins:
         if found.share_diverged > 0.0:
             unstable = "unstable" if found.share_diverged >= 0.5 else "at the edge of stability"
             return f"{unstable} with its actuators: {found}"
-        names = found.coordinates.names
-        tolerance = np.array([
-            self.scenario.tolerance_of(name, group)
-            for name, group in zip(names, found.coordinates.group_of, strict=True)
-        ])  # fmt: skip
-        i = int(np.argmax(found.largest_error / tolerance))
-        if found.largest_error[i] <= tolerance[i]:
-            return f"linearised loop stable with its actuators: {found}"
-        return (
-            "linearised loop stable with its actuators, but not expected to settle: "
-            f"{names[i]} ends at {found.largest_error[i]:.2g} {found.coordinates.units[i]} "
-            f"(tolerance {tolerance[i]:g}); {found}"
-        )
+        stable, ending = "stable with its actuators", found.ending
+        if not ending.excess > 1.0:
+            return f"{stable}: {found}"
+        end = f"{ending.coordinate} ends at {number(ending.excess, 3)} tolerances"
+        return f"{stable}, but not expected to settle: {end}; {found}"
 
     @property
     def is_stable(self) -> bool:
@@ -260,7 +253,7 @@ def stability(
         at_bounds = linearizer.at(motion.part(POSTURES[worst]), held=bounds).spectral_radius
     radius = max(loop.spectral_radius for loop in (*loops, *expected))
     if is_rehearsed(scenario) and radius < 1.0:
-        rehearsal = expected_rehearsal(linearizer)
+        rehearsal = rehearse(scenario, on_drake=False)
     return Margins(
         scenario=scenario,
         coordinates=planned.coordinates,

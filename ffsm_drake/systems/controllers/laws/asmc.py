@@ -89,10 +89,6 @@ class Asmc(InjectedDynamics):
     def with_reaching_gain(self, k_s: np.ndarray) -> Self:
         return dataclasses.replace(self, k_s=k_s)
 
-    def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
-        rate = switching_gain_rate(s, g, a=self.a, b=self.b, epsilon=self.epsilon)
-        return np.minimum(np.maximum(g + self.sample_time * rate, 0.0), self.g_max)
-
     @classmethod
     def gains_for(cls, omega: Any, k_s: Any) -> dict[str, Any]:
         return {"k_d": omega, "k_s": omega}
@@ -114,4 +110,6 @@ class Asmc(InjectedDynamics):
         g = state["switching_gain"]
         s = e_dot + self.k_d * e
         u = a_d + self.k_d * e_dot + self.k_s * s + g * np.sign(s)
-        return u, {"sliding_variable": s, "switching_gain": self.switching_gain_after(s, g)}
+        rate = switching_gain_rate(s, g, a=self.a, b=self.b, epsilon=self.epsilon)
+        g = np.minimum(np.maximum(g + self.sample_time * rate, 0.0), self.g_max)
+        return u, {"sliding_variable": s, "switching_gain": g}

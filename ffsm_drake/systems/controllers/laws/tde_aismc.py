@@ -79,10 +79,6 @@ class TdeAismc(Aismc):
     ) -> Mapping[str, np.ndarray | float]:
         return {**super().starting_gains(omega, mass_matrices), "g_max": 2e-3}
 
-    def switching_gain_after(self, s: np.ndarray, g: np.ndarray) -> np.ndarray:
-        rate = switching_gain_rate(s, g, phi=self.phi, epsilon=self.epsilon)
-        return np.minimum(np.maximum(g + self.sample_time * rate, 0.0), self.g_max)
-
     def resume(self, state: State, ratio: np.ndarray) -> State:
         """See InjectedDynamics. G continues as its bound."""
         after = super().resume(state, ratio)
@@ -95,4 +91,6 @@ class TdeAismc(Aismc):
         u, after = super().step(e, e_dot, a_d, state)
         s, g = after["sliding_variable"], state["switching_gain"]
         u = u + g * np.sign(s)
-        return u, {**after, "switching_gain": self.switching_gain_after(s, g)}
+        rate = switching_gain_rate(s, g, phi=self.phi, epsilon=self.epsilon)
+        g = np.minimum(np.maximum(g + self.sample_time * rate, 0.0), self.g_max)
+        return u, {**after, "switching_gain": g}
