@@ -21,7 +21,7 @@ from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.ending import Outcome
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout
-from ffsm_drake.runs.stage import DrakeStage, Stage
+from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import EMPTY, HELD, Grip, Scenario
 from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -228,10 +228,10 @@ def _leg(course: "Course", phase: Phase) -> Leg:
     """The leg of a phase on Drake."""
 
     def begin(loop: ClosedLoop, root_context: Context) -> None:
-        course.enter(phase, DrakeStage(loop, root_context))
+        course.enter(phase, Stage(loop, root_context))
 
     def end(loop: ClosedLoop, root_context: Context) -> None:
-        course.leave(DrakeStage(loop, root_context))
+        course.leave(Stage(loop, root_context))
 
     return Leg(first=course.sample, last=phase.names[-1][1], begin=begin, end=end)
 

@@ -1,8 +1,7 @@
 """The loop of a phase at an instant of a run, as kinds of phases see it."""
 
-import dataclasses
 from collections.abc import Collection, Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import Context
@@ -14,49 +13,68 @@ from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.sampled import Arrays
 
 
-class Stage(Protocol):
-    """A loop at an instant: its state, and what a phase can change where it begins."""
+class Stage:
+    """A loop at an instant: its state, and what a phase can change where it begins. An engine
+    derives its own.
+    """
+
+    def __init__(self, loop: ClosedLoop, root: Context) -> None:
+        """Args: a loop on Drake, and a context of its diagram."""
+        self.loop, self.root = loop, root
 
     @property
     def coordinates(self) -> Coordinates:
         """Of the known state."""
+        return self.loop.coordinates
 
     @property
     def blocks(self) -> Mapping[str, Any]:
         """The blocks by name."""
+        return self.loop.blocks
 
     @property
     def state(self) -> np.ndarray:
         """The plant's own [q; v]."""
+        return self.loop.whole_state(self.root)
 
     @property
     def measured(self) -> np.ndarray:
         """The state [q; v] that the servicer measures."""
+        return self._output("estimated_state")
 
     @property
     def desired(self) -> np.ndarray:
         """The state [q_d; v_d] of the reference."""
+        return self._output("desired_state")
 
     def model(self) -> PlantModel:
         """Return the true plant of the scenario, in a context of its own."""
+        return self.loop.true_model(self.loop.scenario)
 
     def context(self, block: str) -> Context:
         """Return the context of a block that is a Drake system."""
+        return self.loop.blocks[block].GetMyMutableContextFromRoot(self.root)
 
     def block(self, name: str) -> Any:
         """Return a ``Sampled`` block."""
+        return self.loop.blocks[name].block
 
     def memory(self, block: str) -> Arrays:
         """Return the memory of a ``Sampled`` block."""
+        found: Arrays = self.loop.blocks[block].memory(self.context(block))
+        return found
 
     def remember(self, block: str, memory: Arrays) -> None:
         """Set the memory of a ``Sampled`` block, with held outputs of zero."""
+        self.loop.blocks[block].remember(self.context(block), memory)
 
     def place(self, state: np.ndarray) -> None:
         """Put the plant to its own [q; v], and reset the blocks to it."""
+        self.loop.set_whole_state(self.root, state)
 
     def carry(self, payload: MassProperties) -> None:
         """Set the payload's true mass properties."""
+        self.loop.set_payload(self.root, payload)
 
     def resume(
         self,
@@ -65,80 +83,9 @@ class Stage(Protocol):
         *,
         afresh: Collection[str] = (),
     ) -> None:
-        """Continue with the states of the blocks of the last phase's stage ``before``; other
-        arguments as of ``ClosedLoop.resume``.
+        """Continue with the states of the blocks of ``before``, the stage of the last phase at its
+        end; other arguments as of ``ClosedLoop.resume``.
         """
-
-
-@dataclasses.dataclass(frozen=True)
-class DrakeStage:
-    """A ``Stage`` on Drake."""
-
-    loop: ClosedLoop
-    root: Context  # of the loop's diagram
-
-    @property
-    def coordinates(self) -> Coordinates:
-        """See Stage."""
-        return self.loop.coordinates
-
-    @property
-    def blocks(self) -> Mapping[str, Any]:
-        """See Stage."""
-        return self.loop.blocks
-
-    @property
-    def state(self) -> np.ndarray:
-        """See Stage."""
-        return self.loop.whole_state(self.root)
-
-    @property
-    def measured(self) -> np.ndarray:
-        """See Stage."""
-        return self._output("estimated_state")
-
-    @property
-    def desired(self) -> np.ndarray:
-        """See Stage."""
-        return self._output("desired_state")
-
-    def model(self) -> PlantModel:
-        """See Stage."""
-        return self.loop.true_model(self.loop.scenario)
-
-    def context(self, block: str) -> Context:
-        """See Stage."""
-        return self.loop.blocks[block].GetMyMutableContextFromRoot(self.root)
-
-    def block(self, name: str) -> Any:
-        """See Stage."""
-        return self.loop.blocks[name].block
-
-    def memory(self, block: str) -> Arrays:
-        """See Stage."""
-        found: Arrays = self.loop.blocks[block].memory(self.context(block))
-        return found
-
-    def remember(self, block: str, memory: Arrays) -> None:
-        """See Stage."""
-        self.loop.blocks[block].remember(self.context(block), memory)
-
-    def place(self, state: np.ndarray) -> None:
-        """See Stage."""
-        self.loop.set_whole_state(self.root, state)
-
-    def carry(self, payload: MassProperties) -> None:
-        """See Stage."""
-        self.loop.set_payload(self.root, payload)
-
-    def resume(
-        self,
-        before: "DrakeStage",
-        reference: np.ndarray | None = None,
-        *,
-        afresh: Collection[str] = (),
-    ) -> None:
-        """See Stage."""
         self.loop.resume(self.root, before.loop, before.root, reference, afresh=afresh)
 
     def _output(self, name: str) -> np.ndarray:

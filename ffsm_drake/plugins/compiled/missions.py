@@ -11,7 +11,6 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Context
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.plugins import service
@@ -25,6 +24,7 @@ from ffsm_drake.runs.ending import COMPLETED, Outcome
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import Course, Phase
+from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
@@ -34,13 +34,13 @@ NUDGE = 1.0 + np.finfo(float).eps  # changes last bits
 _OWN = re.compile(r"(sensing|forces)\..*|supervisor|reference")  # blocks of a phase
 
 
-class LaneStage:
+class LaneStage(Stage):
     """A ``Stage`` of a compiled run."""
 
     def __init__(self, run: Run, sample: int) -> None:
         """Args: the run of a phase, and the sample at which it begins."""
         self.run, self.begin = run, LaneState({}, sample, sample)
-        self.measured = np.zeros(0)  # at its end
+        self._measured = np.zeros(0)  # at its end
         own = run.case.reference
         # memory of the reference, and at the end
         self.followed = self._followed_then = None if own is None else own.start()
@@ -61,10 +61,9 @@ class LaneStage:
         return self.begin.cells["x"][: self._plant]
 
     @property
-    def desired(self) -> np.ndarray:
+    def measured(self) -> np.ndarray:
         """See Stage."""
-        row: np.ndarray = self.run.case.planned["reference"][self.begin.sample]
-        return row[: -self.run.case.fixed["nv"]]
+        return self._measured
 
     @property
     def _plant(self) -> int:
@@ -73,10 +72,6 @@ class LaneStage:
     def model(self) -> PlantModel:
         """See Stage."""
         return make_flexible_plant(self.run.scenario, self.run.case.nominal.grip)
-
-    def context(self, block: str) -> Context:
-        """See Stage."""
-        raise NotCovered(block)
 
     def block(self, name: str) -> Any:
         """See Stage."""
@@ -121,7 +116,7 @@ class LaneStage:
 
     def resume(
         self,
-        before: "LaneStage",
+        before: Any,
         reference: np.ndarray | None = None,
         *,
         afresh: Collection[str] = (),
@@ -157,7 +152,7 @@ class LaneStage:
 
     def leave(self, end: LaneEnd) -> None:
         """Come to the end of its phase."""
-        self.begin, self.measured = end.state, end.measured
+        self.begin, self._measured = end.state, end.measured
         self.followed = self._followed_then
 
     def _set(self, cells: Mapping[str, np.ndarray]) -> None:
