@@ -13,14 +13,12 @@ solved only if a force exceeds its thruster's limit.
 
 import functools
 import itertools
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from pydrake.solvers import ClpSolver, MathematicalProgram
 
 from ffsm_drake.common.choice import is_known
-from ffsm_drake.common.products import times
 from ffsm_drake.plugins.actuators.simplex import least_cost, vertex_at
 
 _SMALLEST = 1e-9  # least determinant of a basis relative to the lengths of its columns
@@ -76,45 +74,37 @@ class Allocation:
         self._program_cost = cost * (1.0 + _DISTINCT_PROGRAM * spread)
         self._bases, self._inverses = bases[optimal], inverses[optimal].reshape(-1, 6)
 
-    def solve(
-        self, wrench: np.ndarray, leak: np.ndarray | float = 0.0
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The forces (..., n, N) for the largest feasible part of a wrench, and that part (...), 0
-        to 1.
+    def solve(self, wrench: np.ndarray, leak: np.ndarray | float = 0.0) -> tuple[np.ndarray, Any]:
+        """The forces (n, N) for the largest feasible part of a wrench, and that part, 0 to 1.
 
         Args:
-          wrench: (..., 6), N m and N.
+          wrench: (6), N m and N.
           leak: (6), the wrench already present, for example of a thruster stuck on; the other
             thrusters must be able to cancel it.
         """
         if not is_known(wrench):
             return self._solve_traced(wrench, np.zeros(6) + leak)
-        wanted = wrench.reshape(-1, 6)
-        left, bound = wanted - leak, self._largest * (1.0 + _SLACK)
-        least = -_SLACK * (1.0 + np.abs(left).max(axis=1))
-        found, given = np.empty((len(left), bound.size)), np.ones(len(left))
-        for row, share in enumerate(self._shares_of(left)):
-            forces = share.dot(left[row])
-            if forces.min() < least[row]:
-                forces = self._of_a_basis(left[row])
-            if not (forces.min() >= least[row] and (forces <= bound).all()):
-                forces, given[row] = self._solve_within_bounds(wanted[row], leak)
-            found[row] = forces
-        before = wrench.shape[:-1]
-        return np.maximum(found, 0.0).reshape(*before, bound.size), given.reshape(before)
+        left, bound, given = wrench - leak, self._largest * (1.0 + _SLACK), 1.0
+        least = -_SLACK * (1.0 + np.abs(left).max())
+        forces = self._share_of(left).dot(left)
+        if forces.min() < least:
+            forces = self._of_a_basis(left)
+        if not (forces.min() >= least and (forces <= bound).all()):
+            forces, given = self._solve_within_bounds(wrench, leak)
+        return np.maximum(forces, 0.0), given
 
-    def _shares_of(self, wrenches: np.ndarray) -> Iterator[np.ndarray]:
-        """The maps (n, 6) of least squares with the thrusters whose bound is touched by every best
-        vertex of each wrench (b, 6).
+    def _share_of(self, wrench: np.ndarray) -> np.ndarray:
+        """The map (n, 6) of least squares with the thrusters whose bound is touched by every best
+        vertex of a wrench (6).
         """
-        worth = times(self._prices, wrenches)
-        best = worth.max(axis=1, keepdims=True)
+        worth = self._prices @ wrench
+        best = worth.max()
         is_worse = worth < best - _SLACK * (1.0 + best)
-        for may_fire in (self._touches | is_worse[..., None]).all(axis=1):
-            key = may_fire.tobytes()
-            if key not in self._shares:
-                self._shares[key] = np.linalg.pinv(self._wrenches * may_fire, rcond=1e-9)
-            yield self._shares[key]
+        may_fire = (self._touches | is_worse[:, None]).all(axis=0)
+        key = may_fire.tobytes()
+        if key not in self._shares:
+            self._shares[key] = np.linalg.pinv(self._wrenches * may_fire, rcond=1e-9)
+        return self._shares[key]
 
     def _solve_traced(self, wrench: Any, leak: np.ndarray) -> tuple[Any, Any]:
         """``solve`` for symbols (6), without branches and tables: the same forces but for

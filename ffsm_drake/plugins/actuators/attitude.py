@@ -9,16 +9,13 @@ from ffsm_drake.common.choice import is_known
 
 
 def attitude_ahead(quaternion: np.ndarray, angular_velocity: np.ndarray, time: float) -> np.ndarray:
-    """R_WB (..., 9, by rows) after a time, s, at a constant angular velocity w_WB (..., 3, rad/s)
-    from (w, x, y, z) (..., 4).
+    """R_WB (9, by rows) after a time, s, at a constant angular velocity w_WB (3, rad/s) from
+    (w, x, y, z).
     """
+    half = 0.5 * time * angular_velocity  # of the rotation vector
     if not is_known(quaternion):
-        vector = np.split(0.5 * time * angular_velocity, 3)
-        return np.concatenate(_turned(np.split(quaternion, 4), vector, np))
-    before = quaternion.reshape(-1, 4).tolist()
-    halves = (0.5 * time * angular_velocity).reshape(-1, 3).tolist()  # half of the rotation vector
-    turned = [_turned(one, half) for one, half in zip(before, halves, strict=True)]
-    return np.array(turned).reshape(*quaternion.shape[:-1], 9)
+        return np.concatenate(_turned(np.split(quaternion, 4), np.split(half, 3), np))
+    return np.array(_turned(quaternion.tolist(), half.tolist()))
 
 
 def _turned(quaternion: list[Any], half: list[Any], module: Any = math) -> tuple[Any, ...]:

@@ -166,17 +166,16 @@ class BaseActuators(Sampled):
 
     def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
         """See Sampled. The base turns as at the sample's start."""
-        quaternion, w_WB = inputs["state"][..., :4], inputs["state"][..., 4:]
-        shape = (*w_WB.shape[:-1], 3, 3)
-        rotation = attitude_ahead(quaternion, w_WB, self.sample_time / 2.0).reshape(shape)
+        quaternion, w_WB = inputs["state"][:4], inputs["state"][4:]
+        rotation = attitude_ahead(quaternion, w_WB, self.sample_time / 2.0).reshape(3, 3)
         turning: Any = None
         missing: Any = None
         if self.wheels is not None:
-            at_start = attitude_ahead(quaternion, w_WB, 0.0).reshape(shape)
+            at_start = attitude_ahead(quaternion, w_WB, 0.0).reshape(3, 3)
             in_base = times(self.wheels.axes, memory["momentum"])
             # The held direction of the torque, and the integrator, leave a little between the two.
             missing = (inputs["stored_momentum"] - times(at_start, in_base)) / self.sample_time
-            turning = times(at_start.swapaxes(-1, -2), w_WB)
+            turning = times(at_start.T, w_WB)
         return self.give(
             inputs["commanded_force"],
             memory,
@@ -200,11 +199,10 @@ class BaseActuators(Sampled):
         broken: Any = None,
         isolated: np.ndarray | None = None,
     ) -> tuple[Arrays, Arrays]:
-        """Outputs and memory (..., a row for each of several runs) for a command (..., nv), with
-        R_WB in the middle of the sample (..., 3, 3); for wheels ``turning`` w_WB in the base's axes
-        (..., 3) and their reaction ``missing`` from the integrated momentum (..., 3, world axes);
-        whether a frame ``begins``; with faults their effect ``broken``; with detection what is
-        ``isolated``.
+        """Outputs and memory for a command (nv), with R_WB in the middle of the sample (3, 3); for
+        wheels ``turning`` w_WB in the base's axes (3) and their reaction ``missing`` from the
+        integrated momentum (3, world axes); whether a frame ``begins``; with faults their effect
+        ``broken``; with detection what is ``isolated``.
 
         Commands beyond ``_LARGEST`` give NaN, which marks the run as diverged.
         """
@@ -218,59 +216,59 @@ class BaseActuators(Sampled):
                 count, broken = len(self.thrusters.names), broken.copy()
                 broken[: 2 * count] *= np.tile(isolated[:count] != LOST, 2)
         # torque, force in the base's axes
-        wanted: Any = np.matmul(commanded[..., :6].reshape(*commanded.shape[:-1], 2, 3), rotation)
+        wanted: Any = np.matmul(commanded[:6].reshape(2, 3), rotation)
         asked = wanted.copy()  # requested from the thrusters
         found, kept, told_units = dict[str, Any](), dict[str, Any](), list[Any]()
         applied = commanded.copy()
         if wheels is not None:
             momentum, held = memory["momentum"], memory["modes"] > 0.0
-            unloads, rearranges = held[..., :1], held[..., 1:]
-            recovered = times(rotation.swapaxes(-1, -2), memory["short"])
-            wanted[..., 0, :] += recovered / (_RECOVERY * self.sample_time)
+            unloads, rearranges = held[:1], held[1:]
+            recovered = times(rotation.T, memory["short"])
+            wanted[0] += recovered / (_RECOVERY * self.sample_time)
             unloads = choose(begins, lambda: wheels.unloads(unloads, momentum, turning), unloads)
-            asked[..., 0, :] = wheels.assist_torque(wanted[..., 0, :])
+            asked[0] = wheels.assist_torque(wanted[0])
             if may_be(unloads):
-                asked[..., 0, :] += np.where(unloads, wheels.unloading_torque(momentum), 0.0)
+                asked[0] += np.where(unloads, wheels.unloading_torque(momentum), 0.0)
         told = applied
         if thrusters is not None:
             firing, of_thrusters = self._fire(thrusters, asked, memory, rotation, begins=begins)
             force, fired = firing.force, firing.wrench.reshape(wanted.shape)
-            applied[..., :6] = _turned_back(fired, rotation)
+            applied[:6] = _turned_back(fired, rotation)
             if broken is not None:
                 told = applied.copy()
                 told_units.append(firing.force)
                 gain, floor = broken[: 2 * len(thrusters.names)].reshape(2, -1)
                 force = np.maximum(gain * firing.level, floor) * thrusters.force
                 really = times(thrusters.wrenches, force).reshape(wanted.shape)
-                applied[..., :6] = _turned_back(really, rotation)
+                applied[:6] = _turned_back(really, rotation)
             found = {"thruster_force": force, "thruster_open": firing.open_share}
             found["thruster_given"] = firing.given
             kept |= of_thrusters
-            wanted[..., 0, :] -= fired[..., 0, :]
+            wanted[0] -= fired[0]
         elif broken is not None:
             told = applied.copy()
         if wheels is not None:
             rearranges, rearranging = wheels.rearranges(rearranges, momentum, turning), None
             if may_be(rearranges):
                 rearranging = np.where(rearranges, wheels.rearranging_torque(momentum), 0.0)
-            torques = wheels.give(wanted[..., 0, :], momentum, turning, rearranging=rearranging)
+            torques = wheels.give(wanted[0], momentum, turning, rearranging=rearranging)
             by_wheels = times(rotation, torques.on_base) + missing
             if broken is not None:
-                told[..., :3] = by_wheels + (0.0 if thrusters is None else told[..., :3])
+                told[:3] = by_wheels + (0.0 if thrusters is None else told[:3])
                 told_units.append(torques.on_wheels)
                 torques = wheels.stopping(torques, broken[-len(wheels.names) :], momentum, turning)
                 by_wheels = times(rotation, torques.on_base) + missing
-            applied[..., :3] = by_wheels + (0.0 if thrusters is None else applied[..., :3])
+            applied[:3] = by_wheels + (0.0 if thrusters is None else applied[:3])
             found |= {"wheel_momentum": momentum, "wheel_torque": torques.motor}
             found |= {"wheel_unloads": unloads * 1.0, "wheel_reaction": by_wheels}
             # The missing part has already been given, in a held direction.
-            given = told[..., :3] - missing
-            left = memory["short"] + (commanded[..., :3] - given) * self.sample_time
+            given = told[:3] - missing
+            left = memory["short"] + (commanded[:3] - given) * self.sample_time
             kept["short"] = wheels.bounded(left, _RECOVERY)
             kept["momentum"] = momentum + torques.on_wheels * self.sample_time
-            kept["modes"] = np.concatenate([unloads, rearranges], axis=-1) * 1.0
+            kept["modes"] = np.concatenate([unloads, rearranges]) * 1.0
         if broken is not None:
-            found |= {"told_force": told, "told_units": np.concatenate(told_units, axis=-1)}
+            found |= {"told_force": told, "told_units": np.concatenate(told_units)}
         return {"applied_force": applied, **found}, kept
 
     def _fire(
@@ -282,7 +280,7 @@ class BaseActuators(Sampled):
         *,
         begins: Any,
     ) -> tuple[Firing, dict[str, Any]]:
-        """Fire thrusters for the requested torque and force (..., 2, 3, the base's axes), with the
+        """Fire thrusters for the requested torque and force (2, 3, the base's axes), with the
         owed impulse; also returns the memory.
         """
 
@@ -354,9 +352,9 @@ class BaseActuators(Sampled):
 
 
 def _turned_back(wrench: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Torque and force (..., 2, 3) of the base's axes in the world's, in a row (..., 6)."""
-    in_world: np.ndarray = np.matmul(wrench, rotation.swapaxes(-1, -2))
-    return in_world.reshape(*wrench.shape[:-2], 6)
+    """Torque and force (2, 3) of the base's axes in the world's, in a row (6)."""
+    in_world: np.ndarray = np.matmul(wrench, rotation.T)
+    return in_world.reshape(6)
 
 
 class BaseBlock(CompositeBlock):

@@ -13,23 +13,23 @@ _EVEN = 1e-9  # relative tolerance of forces: equal shares open together despite
 
 
 def whole_frames(share: np.ndarray, *, frame: float, threshold: float) -> np.ndarray:
-    """Open times (..., n, s) of sigma-delta modulation: a whole frame from a threshold on, else
+    """Open times (n, s) of sigma-delta modulation: a whole frame from a threshold on, else
     none.
 
     What is missed is carried into the next frame's share by the caller: the error's integral stays
     bounded.
 
-    Args: commanded share of each thruster's force (..., n); length of a frame, s; threshold of the
+    Args: commanded share of each thruster's force (n); length of a frame, s; threshold of the
       share.
     """
     return np.where(share >= threshold - _EVEN, frame, 0.0)
 
 
 def pulse_widths(share: np.ndarray, *, frame: float, minimum: float) -> np.ndarray:
-    """Open times (..., n, s) of pulse-width modulation: the share of the frame, or the least time,
+    """Open times (n, s) of pulse-width modulation: the share of the frame, or the least time,
     or none.
 
-    Args: commanded share of each thruster's force (..., n); length of a frame and least open time,
+    Args: commanded share of each thruster's force (n); length of a frame and least open time,
     s.
     """
     wanted = np.minimum(share, 1.0) * frame

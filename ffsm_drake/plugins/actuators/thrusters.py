@@ -49,18 +49,18 @@ _WHOLE = 1.0 - 1e-9  # the part of a wrench that counts as all of it
 class Firing(NamedTuple):
     """Output of thrusters in one control sample; for one spacecraft, or for several in rows."""
 
-    # (..., 6) its mean on the base, torque then force in the base's axes; N m and N
+    # (6) its mean on the base, torque then force in the base's axes; N m and N
     wrench: np.ndarray
-    force: np.ndarray  # (..., n) mean force of each, N
-    open_share: np.ndarray  # (..., n) share of the sample for which each is open
-    # (..., 1) the part of the commanded wrench that the last allocation could give, 0 to 1
+    force: np.ndarray  # (n) mean force of each, N
+    open_share: np.ndarray  # (n) share of the sample for which each is open
+    # (1) the part of the commanded wrench that the last allocation could give, 0 to 1
     given: np.ndarray
-    level: np.ndarray  # (..., n) the same force as a share of each thruster's, if it works
+    level: np.ndarray  # (n) the same force as a share of each thruster's, if it works
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ThrusterMemory:
-    """Memory of the thrusters between samples; all (..., n) except ``given`` (..., 1)."""
+    """Memory of the thrusters between samples; all (n) except ``given`` (1)."""
 
     open_for: np.ndarray  # s; for how long from now on each is open
     level: np.ndarray  # share of its force that each gives now
@@ -70,12 +70,12 @@ class ThrusterMemory:
     given: np.ndarray  # given part of the last allocation
 
     def packed(self) -> np.ndarray:
-        return np.concatenate([*(getattr(self, name) for name in _PACKED)], axis=-1)
+        return np.concatenate([*(getattr(self, name) for name in _PACKED)])
 
     @classmethod
     def unpacked(cls, values: np.ndarray) -> "ThrusterMemory":
-        n = values.shape[-1] // (len(_PACKED) - 1)
-        return cls(*(values[..., i * n : (i + 1) * n] for i in range(len(_PACKED))))
+        n = values.size // (len(_PACKED) - 1)
+        return cls(*(values[i * n : (i + 1) * n] for i in range(len(_PACKED))))
 
 
 _PACKED = ("open_for", "level", "wanted", "filtered", "is_on", "given")
@@ -181,18 +181,18 @@ class ThrusterSet:
         }
 
     def allocate(self, wrench: np.ndarray, memory: ThrusterMemory) -> ThrusterMemory:
-        """The start of a frame: memory with the opening times for a commanded wrench (..., 6;
-        base's axes, N m and N).
+        """The start of a frame: memory with the opening times for a commanded wrench (6; base's
+        axes, N m and N).
 
         A wrench that is not finite gives forces that are not finite: the run has diverged.
         """
-        known = np.isfinite(wrench).all(axis=-1, keepdims=True)
+        known = np.isfinite(wrench).all(keepdims=True)
         all_known = not may_be(~known)
         solvable = wrench if all_known else np.where(known, wrench, 0.0)
         forces, part = self._allocation.solve(solvable, self._leak)
         given = np.expand_dims(part, -1)
-        wanted = np.zeros_like(forces, shape=(*given.shape[:-1], len(self.names)))
-        wanted[..., self._works] = forces
+        wanted = np.zeros_like(forces, shape=(len(self.names),))
+        wanted[self._works] = forces
         open_for = np.maximum(memory.open_for, self._opened(wanted))
         if not all_known:
             wanted, given, open_for = (
@@ -201,7 +201,7 @@ class ThrusterSet:
         return dataclasses.replace(memory, wanted=wanted, given=given, open_for=open_for)
 
     def _opened(self, wanted: np.ndarray) -> np.ndarray:
-        """For how long (..., n), s, commanded forces (..., n), N, open at the start of a frame."""
+        """For how long (n), s, commanded forces (n), N, open at the start of a frame."""
         if not self.carries_over:  # a trigger opens at any sample
             return np.zeros_like(wanted)
         share, settings = wanted / self.force, self.settings
@@ -218,7 +218,7 @@ class ThrusterSet:
             least = np.where(memory.is_on > 0.0, self.sample_time, self._shortest)
             open_for = np.maximum(open_for, is_on * least)
         opened = np.minimum(open_for, self.sample_time)
-        opened[..., self._stuck_on] = self.sample_time
+        opened[self._stuck_on] = self.sample_time
         share, level = mean_level(
             memory.level,
             opened,
