@@ -62,7 +62,7 @@ class Compiled(Engine):
         own = replaced | {name for name, is_there in (
             ("faults.detection with capture.approach",
              scenario.approach is not None and detects(scenario)),
-            ("contacts", scenario.contacts),
+            ("contacts with capture.approach", scenario.contacts and scenario.approach),
             ("error control", config.use_error_control),
             ("a real-time clock", config.target_realtime_rate > 0.0),
             (f"integration_scheme {config.integration_scheme}",

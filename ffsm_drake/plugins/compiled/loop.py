@@ -84,6 +84,7 @@ CARRIED = {
     "waiting": "waiting_after",
     "applied": "told",
     "requested": "requested_after",
+    "corrected": "corrected_after",
 }
 # Likewise of an instant at which forces step that step several times in a sample.
 TOUCHED = {"touched": "touched_after", "touch": "touch_after"}
@@ -93,7 +94,7 @@ _SAMPLE = (
     "share", "added", "reference", "noise", "drift_noise", "phases", "frame", "planned", "stored",
     "loaded", "pushed", "touch", "held_before", "watch", "watched", "commanded", "memory",
     "applied", "waiting", "limit", "force_resolution", "sines", "joint_force", "law_at_start",
-    "request", "requested",
+    "request", "requested", "corrected",
 )  # fmt: skip
 # What has no derivative: a run's parameters and what follows from time.
 _FIXED = {
@@ -102,8 +103,8 @@ _FIXED = {
     "step", "watch", "joint_force", "law_at_start", "request",
 }  # fmt: skip
 _DERIVATIVE = (
-    "state", "applied_force", "push", "touch", "acted", "t", "actuators", "last_forces", "sines",
-    "own",
+    "state", "applied_force", "corrected", "push", "touch", "acted", "t", "actuators",
+    "last_forces", "sines", "own",
 )  # fmt: skip
 _ACTED = (
     "generalized_force", "waiting", "limit", "force_resolution", "x", "t0", "actuators", "loaded",
@@ -235,6 +236,7 @@ class Blocks:
             "watched": 0 if self.watch is None else _size([self.watch]),
             "commanded": 0 if self.watch is None else self.nv,
             "requested": 0 if self.watch is None else self._found("abort_request"),
+            "corrected": sum(each.num_corrections for each in self._corrects.values()),
         }  # fmt: skip
 
     @property
@@ -251,7 +253,7 @@ class Blocks:
             "disturbance_force": nv, "each_force": (1 + forces) * nv if forces else 0,
             "detected": self._found("fault_detected"),
             "gyroscopic": self.nv if self._gyrates else 0,
-            "push": self._held["push"], **watching,
+            "push": self._held["push"], **watching, "shown_last": sum(self._shown_last.values()),
             "hidden_push": len(self.loose) if self._push_hidden else 0,
             "acted": sum(self.acted.values()), "flown": sum(self.flown.values()), "y": states["x"],
             **{cell: states[name] for name, cell in (CARRIED | TOUCHED).items()},
@@ -263,6 +265,24 @@ class Blocks:
         """The blocks with phases."""
         watch = () if self.watch is None else (self.watch,)
         return *self.sensors, *self.actuators, *self.forces.values(), *watch
+
+    @property
+    def _corrects(self) -> dict[str, Any]:
+        """The last forces with a correction, which a sample makes."""
+        return {name: each for name, each in self.last.items() if hasattr(each, "correct")}
+
+    @property
+    def _places_last(self) -> dict[str, tuple[str, int, int]]:
+        """As ``log``, of the last forces' other outputs."""
+        ends = np.cumsum([0, *self._shown_last.values()]).tolist()
+        places = zip(self._shown_last.items(), ends, strict=False)
+        return {name: ("shown_last", first, size) for (name, size), first in places}
+
+    @property
+    def _shown_last(self) -> dict[str, int]:
+        """Outputs of last forces beside the force, by name: numbers in each."""
+        found = {name: n for each in self.last.values() for name, n in each.outputs.items()}
+        return {name: n for name, n in found.items() if name != "generalized_force"}
 
     @property
     def _named(self) -> tuple[str, ...]:
@@ -331,6 +351,7 @@ class Blocks:
             "desired_acceleration": (plan, nx, nv), "applied_force": ("applied", 0, nv),
             "measurement_is_new": ("is_new", 0, sizes["is_new"]),
             "desired_frame": ("frame", 0, sizes["frame"]),
+            **self._places_last,
         }  # fmt: skip
         wanted = LawBlock(self.law, self.coordinates).inputs
         return {name: place for name, place in made.items() if name in wanted and place[2]}
@@ -385,6 +406,8 @@ class Blocks:
             made["generalized_force"] = "given", 0, self.nv
         if self.detector is not None:
             made["fault_detected"] = ("detected", 0, sizes["detected"])
+        shown = self._places_last.items()
+        made |= {name: place for name, place in shown if name in self.recorded}
         if sizes["hidden_push"]:
             made["external_hidden_force"] = ("hidden_push", 0, sizes["hidden_push"])
         return made
@@ -628,12 +651,16 @@ class Blocks:
             if "hidden_force" in found:
                 on_hidden = on_hidden + _at_instant(found, "hidden_force")
             after += [kept[name] for name in memory]
+        shown = dict[str, Any]()
         if self.last:
             before, _ = _parts(cells.held_before, _zeros(self._held))
-            each += self._last(
-                cells, cells.x, now.time, self._others(cells, cells.x, now.time, **before)[0]
-            )
+            others = self._others(cells, cells.x, now.time, **before)[0]
+            for outputs in self._last(cells, cells.x, now.time, others):
+                each.append(outputs["generalized_force"])
+                shown |= outputs
         return {
+            "shown_last": _row(shown[name] for name in self._shown_last),
+            "corrected_after": _row(self._corrections(cells)),
             "disturbance_force": functools.reduce(np.add, each),
             "each_force": _row(each if self._named else ()),
             "push": held if self.slow else traced([]),
@@ -722,7 +749,7 @@ class Blocks:
         time, held = cells.t[0], {name: getattr(cells, name) for name in self._held}
         force, rates = self._others(cells, cells.state, time, **held)
         for each in self._last(cells, cells.state, time, force):
-            force[list(self.forced)] = force[list(self.forced)] + each
+            force[list(self.forced)] = force[list(self.forced)] + each["generalized_force"]
         given = list(q), list(v), list(force), list(cells.own)
         return {"rates": [*equations.derivative(self.tree, *given), *_row(rates)]}
 
@@ -745,19 +772,30 @@ class Blocks:
             force[list(self.forced)] = force[list(self.forced)] + flown[name]
         return force, rates
 
-    def _last(self, cells: Any, x: Any, time: Any, others: Any) -> list[Any]:
-        """The last forces."""
-        blocks = with_symbols(
-            tuple(self.last.values()), cells.last_forces, traced([]), traced_model
-        )
+    def _last(self, cells: Any, x: Any, time: Any, others: Any) -> list[dict[str, Any]]:
+        """Outputs of the last forces."""
         signals = {
             "state": x[list(self.known)], "hidden_state": x[list(self.hidden)],
             "other_force": others[list(self.forced)], "time": traced([time]),
         }  # fmt: skip
-        return [
-            traced(block.flow(_read(block, block.inputs, signals), {})[0]["generalized_force"])
-            for block in blocks
-        ]
+        sizes = {name: np.zeros(each.num_corrections) for name, each in self._corrects.items()}
+        corrections, _ = _parts(cells.corrected, sizes)
+        found = list[dict[str, Any]]()
+        for name, block in self._last_blocks(cells).items():
+            inputs = signals | {"correction": corrections.get(name)}
+            outputs, _ = block.flow(_read(block, block.inputs, inputs), {})
+            found.append({each: traced(values) for each, values in outputs.items()})
+        return found
+
+    def _corrections(self, cells: Any) -> list[Any]:
+        """What the last forces correct from a sample on."""
+        blocks, inputs = self._last_blocks(cells), {"state": cells.x[list(self.known)]}
+        return [blocks[name].correct(inputs) for name in self._corrects]
+
+    def _last_blocks(self, cells: Any) -> dict[str, Any]:
+        own = tuple(self.last.values())
+        made = with_symbols(own, cells.last_forces, traced([]), traced_model)
+        return dict(zip(self.last, made, strict=True))
 
     def _point(self, weights: Sequence[float], cells: Any) -> dict[str, Any]:
         step = cells.step[0]

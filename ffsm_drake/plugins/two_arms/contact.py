@@ -30,6 +30,7 @@ from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.numbers import short
 from ffsm_drake.loop import blocks
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
+from ffsm_drake.plugins.two_arms.flow import ContactFlow, contact_flow
 from ffsm_drake.scenario import Grip, MassProperties, Scenario
 from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.scenario.contacts import ALL_HANDS, WRENCH, Contact, closing_contacts
@@ -92,6 +93,10 @@ class Contacts(Part):
     def build(self, setup: BlockSetup) -> LeafSystem:
         """The force of the contacts."""
         return ContactForce(setup)
+
+    def flow(self, setup: BlockSetup) -> ContactFlow | None:
+        """The force as pure functions; None: they do not cover it."""
+        return contact_flow(setup)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Wrench on the target and gap of each contact."""
