@@ -26,6 +26,7 @@ from ffsm_drake.runs.engine import Engine, NotCovered
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import Rollout, make_rollout
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.faults import detects
 from ffsm_drake.systems.registry import Factory
@@ -63,6 +64,7 @@ class Compiled(Engine):
             ("faults.detection with capture.approach",
              scenario.approach is not None and detects(scenario)),
             ("contacts with capture.approach", scenario.contacts and scenario.approach),
+            ("contacts that close later", closing_times(scenario)[1:]),
             ("error control", config.use_error_control),
             ("a real-time clock", config.target_realtime_rate > 0.0),
             (f"integration_scheme {config.integration_scheme}",
@@ -74,8 +76,8 @@ class Compiled(Engine):
     def lanes(self, scenario: Scenario, factory: Factory, number: int, samples: int) -> Lanes:
         """See Engine."""
         self.check(scenario)
-        if scenario.approach is not None:
-            raise NotCovered("capture.approach under actions")
+        if scenario.approach is not None or scenario.contacts:
+            raise NotCovered("capture.approach or contacts under actions")
         trial = dataclasses.replace(scenario, duration=min(scenario.duration, _TRIAL))
         run = Run(trial, law=factory)
         if scenario.supervisor is not None or detects(scenario):

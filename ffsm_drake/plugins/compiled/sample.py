@@ -57,8 +57,8 @@ class TracedSample:
             raise NotCovered(run.blocks.called)
         if scenario.actuation.wheels is not None:
             raise NotCovered("wheels")
-        if scenario.blocks.choices() or scenario.supervisor is not None:
-            raise NotCovered("blocks of a user, or a supervisor")
+        if scenario.blocks.choices() or scenario.supervisor is not None or scenario.contacts:
+            raise NotCovered("blocks of a user, a supervisor, or contacts")
         self._scenario, self._nominal, self.motion = scenario, run.case.nominal, run.case.motion
         self._frame = make_frame_motion(scenario, self._nominal, self.motion)
         self.key, self.law, self.coordinates = run.key, run.law, run.coordinates

@@ -292,6 +292,27 @@ def test_drawn_scenarios_have_the_runs_of_drake(draw, seed):
     assert draw is late_sensors or engines <= {"compiled"}
 
 
+def closed_chains(random):
+    """Two hands on one target, with errors of their calibration; the mass of the target by run."""
+    name = str(random.choice(["two_arms", "tohoku_arms"]))
+    given = [f"contacts.right.stabilization={random.uniform(5, 40):.1f}"]
+    if name == "two_arms" and random.random() < 0.5:
+        for kind in ("position", "rotation"):
+            error = np.round(1e-3 * random.normal(size=3), 6).tolist()
+            given.append(f"contacts.right.{kind}_error={error}")
+    given += [str(random.choice(["chain.law=plain", "chain.force={}", "chain.law=minimal"]))]
+    given.append(f"controller={random.choice(['tdc', 'pd_plus', 'computed_torque'])}")
+    return name, given, [[f"payload.truth.mass={mass}"] for mass in (80.0, 100.0, 120.0)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(DRAWS))
+def test_drawn_closed_chains_have_the_runs_of_drake(seed):
+    name, given, each = closed_chains(np.random.default_rng(seed))
+    # a law in the minimal velocities of its chain is called
+    check(of_seeds(name, ["duration=0.2", *given], each), called="chain.law=plain" not in given)
+
+
 def detected(random):
     """Faults that are looked for; Drake computes a run in which a thruster or wheel is isolated,
     and other faults make a supervisor act.
