@@ -253,6 +253,15 @@ def grippers(random):
     return "tumbling_capture", [*given, "duration=1.6"], each
 
 
+def measured_targets(random):
+    """As ``grippers``; the target's motion is estimated from images that are late, rare or lost."""
+    name, given, each = grippers(random)
+    sensor = f"dropouts: {random.uniform(0.0, 0.4):.2f}, latency: {random.integers(4)}"
+    sensor += f", period: {random.integers(1, 8)}"
+    given.append(f"capture.measured={{replan: 0.1, last: 0.1, sensor: {{{sensor}}}}}")
+    return name, given, each
+
+
 def supervisors(random):
     """Supervisors that act again and again, once or not, with plans of their own."""
     name = str(random.choice(["flight_sensors", "envisat", "slow_navigation"]))
@@ -279,7 +288,7 @@ def test_laws_that_use_frames_have_the_runs_of_drake(name, law):
     "draw",
     [
         late_sensors, flexible_parts, captures, undriven_bases, wheels, drives, environments,
-        flexible_joints, broken_parts, approaches, grippers,
+        flexible_joints, broken_parts, approaches, grippers, measured_targets,
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("seed", range(DRAWS))
