@@ -320,8 +320,8 @@ class Case:
             given = self._given.get(block) or parts.get(block)
             factory = given or factory_of(block, scenario)
             setup, place = self._setup(name, choice.settings), f"blocks.{block} '{choice.system}'"
-            make = getattr(factory, "flow", factory)
-            made = call_factory(make, setup, place=place)
+            part: Any = factory  # whose ``flow`` has pure functions in place of a Drake system
+            made = call_factory(getattr(part, "flow", part), setup, place=place)
             if isinstance(factory, Part) and kind == "forces":
                 self._shown += [each.name for each in factory.signals(setup)]
                 self._shown += factory.logged
