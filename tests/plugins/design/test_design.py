@@ -194,7 +194,7 @@ def test_the_table_shows_margins_before_and_after(tmp_path):
     arguments += ["--set", "duration=8"]
     result = CliRunner().invoke(main, [*arguments, "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output
-    assert re.search(r"margin +chosen +given\nfactor on the gains +[\d.]+ +[\d.]+", result.output)
+    assert re.search(r"margin +chosen +current\nfactor on the gains +[\d.]+ +[\d.]+", result.output)
     assert "expected to" in result.output
 
 
