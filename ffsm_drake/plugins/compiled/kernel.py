@@ -24,6 +24,8 @@ from ffsm_drake.systems.part import Parts
 from ffsm_drake.tape.numbers import NotTraceable
 
 _BYTES = 8  # of a number
+# rows that runs may share, and that a supervisor's plan changes
+_SHARED = {"reference", "frame", "phases", "request"}
 _ROWS = 32  # of the log, which the second-level cache holds
 
 
@@ -151,7 +153,7 @@ class Kernel:
         """The rows of a leg."""
         read = {name: rows[name][first : first + samples + 1] for name in self.read}
         if self.blocks.watch is not None:  # which may change what is planned
-            read |= {name: values.copy() for name, values in read.items() if "noise" not in name}
+            read |= {name: read[name].copy() for name in _SHARED & read.keys()}
         if "noise" in read and samples and not ends:
             read["noise"] = read["noise"].copy()
             read["noise"][-1] = read["noise"][-2]

@@ -63,7 +63,7 @@ def rows_of(law: Any, q_d: np.ndarray) -> np.ndarray:
     """Return the planned numbers (n, m) of a law at samples with desired configurations q_d
     (n, nq).
     """
-    rows = [np.zeros((len(q_d), 0))]
+    rows = list[np.ndarray]()
 
     def note(part: Any, name: str) -> Any:
         rows.append(part.at_samples(q_d)[name].reshape(len(q_d), -1))
@@ -71,7 +71,7 @@ def rows_of(law: Any, q_d: np.ndarray) -> np.ndarray:
 
     ignored = lambda *values: values[0]  # noqa: E731
     _replaced(law, "the law", ignored, ignored, ignored, note)
-    return np.hstack(rows)
+    return rows[0] if len(rows) == 1 else np.hstack([np.zeros((len(q_d), 0)), *rows])
 
 
 def with_symbols(
