@@ -210,7 +210,7 @@ class ClosedLoop:
           context_before: root context of the other loop.
           reference: [q_d; v_d] (nq + nv) at the start of this loop's motion, if the nominal model
             changes; None: it does not change.
-          afresh: blocks that keep their own states; of the controller, not the force that acts.
+          afresh: blocks that start anew. A controller among them keeps the force that acts.
         """
         for name, block in self.blocks.items():
             if name not in before.blocks:

@@ -1,9 +1,9 @@
 """Phases of a mission as data, and the runner that goes through them with one log.
 
 A phase begins where wiring, contacts or the plant change. Its kind has three functions: ``plan``
-returns how the loop differs from that of the mission, ``enter`` puts the loop where the phase
-begins, and ``judge`` returns an outcome, which leads to the next phase. All that passes from phase
-to phase is a ``Situation``.
+returns how the loop differs from the loop of the mission, ``enter`` sets the state in which the
+phase begins, and ``judge`` returns an outcome, which leads to the next phase. A ``Situation`` is
+all that passes from phase to phase.
 """
 
 import dataclasses
@@ -52,7 +52,7 @@ class Phase:
     grip: Grip = EMPTY  # what holds the target
     scenario: Scenario | None = None  # with its plan; None: the scenario of the mission
     motion: PlannedMotion | None = None  # desired, over the run's time; None: from the plan
-    # whether the approach begins where ``motion`` ends, not at ``capture.approach.posture``
+    # True: the approach begins where ``motion`` ends, not at ``capture.approach.posture``
     joins: bool = False
     # block -> factory that replaces a block of the mission
     blocks: Mapping[str, Factory] = dataclasses.field(default_factory=dict)
@@ -94,7 +94,7 @@ class PhaseKind:
         raise NotImplementedError
 
     def enter(self, now: Situation, phase: Phase, stage: Stage) -> Situation:
-        """Put the loop of a phase where it begins. By default: where the last one ended."""
+        """Set the state in which a phase begins. By default, the last phase ended in this state."""
         if now.sample > 0:
             stage.place(now.stage.state)
             stage.resume(now.stage, afresh=phase.afresh)
@@ -187,7 +187,7 @@ class PhasedRollout:
             self._loops[grip].check()
 
     def run(self, scenario: Scenario | None = None, *, progress: Progress | None = None) -> RunLog:
-        """As ``Rollout.run``; where a hand grasps, the log holds the velocity after it."""
+        """As ``Rollout.run``. At a sample of a grasp, the log has the velocity after it."""
         start, scenario = time.perf_counter(), scenario or self._scenario
         course, alone = Course(self.mission(scenario), scenario), list[Rollout]()
 
@@ -237,8 +237,8 @@ def _leg(course: "Course", phase: Phase) -> Leg:
 
 
 class Course:
-    """The way of a run through the phases of a mission: ``plan``, ``enter``, ``leave``, ``note``
-    for each, and ``joined``.
+    """The course of a run through the phases of a mission. Call ``plan``, ``enter``, ``leave`` and
+    ``note`` for each phase, and ``joined`` at the end.
     """
 
     def __init__(self, mission: Mission, scenario: Scenario) -> None:
@@ -260,12 +260,12 @@ class Course:
         return phase
 
     def enter(self, phase: Phase, stage: Stage) -> None:
-        """Put the loop of a phase, at its start, where the phase begins."""
+        """Set the state in which a phase begins. Args: the phase, and its loop at its start."""
         assert self.kind is not None
         self._now = self.kind.enter(self._now, phase, stage)
 
     def leave(self, stage: Stage) -> None:
-        """Note the loop of a phase at its end."""
+        """Keep the loop of a phase at its end."""
         self._now = dataclasses.replace(self._now, stage=stage)
 
     def note(self, phase: Phase, log: RunLog) -> None:

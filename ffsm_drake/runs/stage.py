@@ -14,8 +14,9 @@ from ffsm_drake.systems.sampled import Arrays
 
 
 class Stage:
-    """A loop at an instant: its state, and what a phase can change where it begins. An engine
-    derives its own.
+    """The loop of a phase at an instant: its state, and what a phase can change at its begin.
+
+    This class is for Drake. Another engine derives its own.
     """
 
     def __init__(self, loop: ClosedLoop, root: Context) -> None:
@@ -65,11 +66,11 @@ class Stage:
         return found
 
     def remember(self, block: str, memory: Arrays) -> None:
-        """Set the memory of a ``Sampled`` block, with held outputs of zero."""
+        """Set the memory of a ``Sampled`` block, and its held outputs to zero."""
         self.loop.blocks[block].remember(self.context(block), memory)
 
     def place(self, state: np.ndarray) -> None:
-        """Put the plant to its own [q; v], and reset the blocks to it."""
+        """Set the plant's own [q; v], and reset the blocks to this state."""
         self.loop.set_whole_state(self.root, state)
 
     def carry(self, payload: MassProperties) -> None:
@@ -84,7 +85,7 @@ class Stage:
         afresh: Collection[str] = (),
     ) -> None:
         """Continue with the states of the blocks of ``before``, the stage of the last phase at its
-        end; other arguments as of ``ClosedLoop.resume``.
+        end. Other arguments: see ``ClosedLoop.resume``.
         """
         self.loop.resume(self.root, before.loop, before.root, reference, afresh=afresh)
 

@@ -104,12 +104,12 @@ class Grip:
     """What holds the target in a phase of a mission."""
 
     holds: bool = True  # whether the target is in the gripper
-    # s after the grasp; the hands that closed up to then hold the target; None: as 0, but a motion
-    # is that of the whole mission
+    # s after the grasp; the hands that closed up to then hold the target. None: as 0, but a planned
+    # motion is the motion of the whole mission
     closed: float | None = 0.0
 
     def carried(self, payload: Payload) -> Payload:
-        """The payload in the gripper: a given one, or nothing."""
+        """The payload in the gripper: the given one, or nothing."""
         return payload if self.holds else replace(payload, truth=NOTHING, nominal=NOTHING)
 
     def closes(self, contact: Contact) -> bool:

@@ -402,7 +402,7 @@ class Part:
     title: ClassVar[str] = ""  # heading of its rows and panels; "": the class's name
     section: ClassVar[str] = "Parts"  # section of the report for its panels
     about: ClassVar[str] = "Signals of the user-supplied parts."  # "": the text of ``sentence``
-    # True: a campaign's prediction also simulates this actuator's limits.
+    # True: runs with other noise sequences check the limits of this actuator.
     rehearsed: ClassVar[bool] = False
     logged: tuple[str, ...] = ()  # held outputs that are in the log of a run, not in its record
 

@@ -1,5 +1,5 @@
-"""A gripper that closes over a time (``capture.closing``): its force between servicer and free
-target, in the legs of a run before the grasp.
+"""A gripper that takes time to close (``capture.closing``): its force between the servicer and the
+free target, before the grasp.
 """
 
 import dataclasses
@@ -56,19 +56,19 @@ class Met:
 
 
 class Gripper(Part):
-    """The section ``capture.closing``: without effect, or in the leg in which it closes."""
+    """The section ``capture.closing``. It acts only in the phase in which the gripper closes."""
 
     title = "Gripper"
     about = "Contact of the gripper with the target while it closes; the gripper's axes."
 
     def __init__(self, closes: Compliance | None = None) -> None:
-        """Args: the compliance with which it closes in this leg; None: it does not."""
+        """Args: the compliance with which it closes in this phase; None: it does not close."""
         self._closes = closes
         self.logged = () if closes is None else (MOTION,)
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Gripper | None":
-        """The gripper of a run with an approach and ``capture.closing``."""
+        """The gripper of a scenario with ``capture.closing``; None without it."""
         return None if scenario.closing is None else cls()
 
     def build(self, setup: BlockSetup) -> Any:
@@ -137,7 +137,8 @@ def _by_axis(of_rotation: str, of_position: str) -> dict[str, str]:
 class Closing(Sampled):
     """The force of the gripper on the servicer, and the motion of the target under it.
 
-    It steps every STEP at most in the leg in which the gripper closes, from a memory of ``begun``.
+    In the phase in which the gripper closes, it steps with a period of at most STEP, and its memory
+    at the start is that of ``begun``.
     """
 
     model: PlantModel  # with all coordinates of the true plant
@@ -301,8 +302,8 @@ class Closing(Sampled):
         return state[:size], state[size:]
 
     def _damping(self, rates: Any, mobility: Any, period: Any) -> Any:
-        """The torques or forces that damp limp joints, by the rates that they leave after a step:
-        by those before it, a light wrist would be thrown about.
+        """The torques or forces that damp limp joints. They follow from the rates after the step,
+        because damping by the rates before it is unstable for a wrist with small inertia.
         """
         of_joints = mobility[self.joints[:, None], self.joints]
         resists = np.eye(self.joints.size) / self.joint_damping

@@ -178,7 +178,7 @@ def _events(run: View) -> Iterator[tuple[float, Mode]]:
 class NewPlan:
     """A motion from a state to rest, planned during a run.
 
-    As a row (``as_row``) it stands in a context.
+    ``as_row`` is its form in the memory of the supervisor.
     """
 
     begin: float  # s
@@ -215,13 +215,14 @@ class NewPlan:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Supervising(Sampled):
-    """The modes, but for new plans.
+    """The mode logic. ``Supervisor`` makes its new plans.
 
     Inputs: ``estimated_state``, ``desired_state``, ``generalized_force`` of the law at the sample
     before, and ``abort_request``. Phase: the mode along the plan, and whether the gripper is empty.
 
-    Outputs are those of its memory that ``outputs`` names, and ``asks``: 1 if the sample needs a
-    plan, or the answer that there is none, in the memory before it (``Supervisor.answered``).
+    Outputs are the entries of its memory that ``outputs`` names, and ``asks``: 1 if the sample must
+    be repeated with an answer (a plan, or that there is none) in the memory before it, which
+    ``Supervisor.answered`` returns.
     """
 
     model: PlantModel  # the nominal one
@@ -261,7 +262,7 @@ class Supervising(Sampled):
         }  # fmt: skip
 
     def start(self, state: np.ndarray | None = None) -> Arrays:
-        """See Sampled. ``restart``, the first: 1 while the law restarts, and ``force`` acts."""
+        """See Sampled. ``restart`` is the first entry: 1 while the law restarts and ``force`` acts."""
         sizes = {name: size for name, size in self.outputs.items() if name != "asks"}
         # time of saturation and of little force, s; number of plans; request before; answer: 1 a
         # plan, 2 none
@@ -270,7 +271,7 @@ class Supervising(Sampled):
         return {name: np.zeros(size) for name, size in sizes.items()}
 
     def phase(self, sample: Any) -> Sequence[Any]:
-        """Along the scenario's own plan."""
+        """``modes`` along the scenario's own plan."""
         return self.modes(self.sample_time * np.asarray(sample), np.zeros(3))
 
     def modes(self, times: np.ndarray, plan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -462,8 +463,8 @@ def plan_anew(
     supervisor: Supervisor, state: np.ndarray, time: float, *, plans: int
 ) -> NewPlan | None:
     """Return a plan from the measured state after a number of others. If no plan is within its
-    share of the limits: None, or with an empty gripper the plan with the least use of them, since
-    rate damping would leave the light joints to the disturbance.
+    share of the limits: None, or with an empty gripper the plan with the least use of them, because
+    rate damping would not hold joints with small inertia against the disturbance.
     """
     block, scenario = supervisor.block, supervisor.scenario
     settings, (q, v) = scenario.supervisor, np.split(state, [len(state) - len(block.limit)])

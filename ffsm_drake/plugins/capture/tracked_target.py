@@ -46,7 +46,7 @@ _SIZES = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Approached:
-    """Goal of a leg's approach."""
+    """Goal of the approach in a phase."""
 
     begin: float  # s; of the approach, from which on it follows the estimate
     contact: float  # s; when the gripper closes
@@ -73,9 +73,14 @@ class TrackedTarget(Part):
         approached: Approached | None = None,
         sees: bool = True,
     ) -> None:
-        """Args: the run's scenario, and settings in it; the true target's motion (n, 13) at the
-        control samples; the one expected at the start; what is displaced, None: the scenario's own
-        motion; for what, None: nothing is; whether there are images.
+        """Args:
+        scenario: the run's scenario.
+        grasp, measured: settings in it.
+        path: motion (n, 13) of the true target at the control samples.
+        expected: the target as it is expected at the start.
+        motion: what is displaced; None: the scenario's own motion.
+        approached: goal of the displacement; None: nothing is displaced.
+        sees: whether there are images.
         """
         self.scenario, self.grasp, self.measured = scenario, grasp, measured
         self.path, self.expected, self.motion = path, expected, motion
@@ -177,7 +182,7 @@ def drawn_path(
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class TrackedReference(Sampled):
     """The block, which has no inputs. Outputs: those of a reference, the part's signals, and
-    ``abort_request``; they follow from time and from the memory before it.
+    ``abort_request``. They depend only on the time and the memory before a sample.
     """
 
     traced: ClassVar = False
@@ -265,7 +270,7 @@ class TrackedReference(Sampled):
         pose, given = observed(self.part.measured.sensor, self._true(image), place, random)
         if before is None:
             return self._filter.first(time, pose) if given else None
-        # after a leg that ended between an image and its pose, that time is over
+        # if a phase ended between an image and its pose, the estimate is later than the image
         time = max(time, before.time)
         return self._filter.updated(self._filter.predicted(before, time), pose, given)
 
@@ -282,7 +287,7 @@ class TrackedReference(Sampled):
     def _follow(
         self, plan: np.ndarray, time: float, found: Estimate, approached: Approached
     ) -> dict[str, np.ndarray]:
-        """The displacement planned anew, if it is time to."""
+        """The memory with a new plan of the displacement; empty if none is due."""
         is_last = self._is_last(time, approached)
         due = time >= plan[0] + self.part.measured.replan - 1e-9 or plan[1] <= plan[0]
         if time < approached.begin - 1e-9 or plan[2] or not (due or is_last):

@@ -131,7 +131,7 @@ class Compiled(Engine):
 
 
 _kernels: collections.OrderedDict[Any, Kernel | NotCovered] = collections.OrderedDict()
-# what was compared with Drake: keys of kernels, and changes of phases; changes that differ
+# compared with Drake: keys of kernels, and pairs of successive phases; pairs that are refused
 _judged, _refused = set[Any](), dict[Any, NotCovered]()
 
 
@@ -281,7 +281,7 @@ def _judge(
     """Compare a log with Drake's. False: the run ends in another way there. Raises NotCovered: they
     differ by more than rounding.
 
-    Args: the run, its log, what runs it with other last bits, and its scenario before phases.
+    Args: the run; its log; what runs it with other last bits; the scenario of a run in phases.
     """
     scenario = run.scenario if whole is None else whole
     rollout = make_rollout(scenario, blocks=run.given if whole is None else None)

@@ -1,4 +1,4 @@
-"""Runs in phases, each of which is a leg of a kernel. Lanes that share their code go on together.
+"""Runs in phases. Each phase is a leg of a kernel, and lanes with the same code run together.
 
 Between the legs, the kinds of phases plan and judge in Python.
 """
@@ -42,7 +42,7 @@ class LaneStage(Stage):
         self.run, self.begin = run, LaneState({}, sample, sample)
         self._measured = np.zeros(0)  # at its end
         own = run.case.reference
-        # memory of the reference, and at the end
+        # memory of the reference at the begin and at the end of the phase
         self.followed = self._followed_then = None if own is None else own.start()
 
     @property
@@ -125,7 +125,7 @@ class LaneStage(Stage):
         own, plant = self.begin.cells, self._plant
         cells = dict(before.begin.cells)
         cells["x"] = np.concatenate([own["x"][:plant], cells["x"][plant:]])
-        cells["touch"] = own["touch"]  # of a gripper that does not close
+        cells["touch"] = own["touch"]  # zero: the gripper of the phase before has no effect
         first_at = before.begin.first_at
         if "controller" in afresh:
             first_at, cells["memory"] = self.begin.sample, own["memory"]
@@ -146,12 +146,12 @@ class LaneStage(Stage):
         self.begin = LaneState(cells, self.begin.sample, first_at)
 
     def follow(self) -> None:
-        """Let the reference go through the phase."""
+        """Compute the reference over the phase."""
         if self.followed is not None:
             self._followed_then = self.run.case.follow(self.followed)
 
     def leave(self, end: LaneEnd) -> None:
-        """Come to the end of its phase."""
+        """Put the stage where its phase ends."""
         self.begin, self._measured = end.state, end.measured
         self.followed = self._followed_then
 
@@ -162,7 +162,7 @@ class LaneStage(Stage):
 class MissionLane:
     """A run on its way through its phases.
 
-    ``result`` is its log in the end, NotCovered, or None: it fails, so that Drake's run shows how.
+    ``result`` at the end: its log; NotCovered; or None, if it fails. Drake's run then shows how.
     """
 
     def __init__(self, scenario: Scenario, *, nudged: bool = False) -> None:
@@ -247,7 +247,7 @@ class MissionLane:
 
     @property
     def changes(self) -> set[Any]:
-        """What was to be judged on its way: each phase after the one before it."""
+        """Pairs of successive phases, each of which is compared with Drake once."""
         return set(itertools.pairwise([None, *self.steps]))
 
 
@@ -266,7 +266,7 @@ def advance(lanes: Iterable[MissionLane], kernel_of: Callable[[Sequence[Run]], K
 def _advanced(
     lanes: Sequence[MissionLane], kernel_of: Callable[[Sequence[Run]], Kernel]
 ) -> list[MissionLane]:
-    """The lanes with the same code that come to the end of their present phase."""
+    """Run the present phase of lanes with the same code. Return those that reach its end."""
     found = list[MissionLane]()
     try:
         kernel = kernel_of([lane.run for lane in lanes])

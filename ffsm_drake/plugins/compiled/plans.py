@@ -35,10 +35,10 @@ class Plans:
         begun: Sequence[int],
     ) -> Any:
         """A function of the number of a sample (and another argument), which returns 0 if all runs
-        shall end.
+        must end.
 
-        Args: the cells (n, width), and the place of each array among them; what each lane reads
-          from the first sample on, which is changed to its plan; and the number of this sample.
+        Args: the cells (n, width), and the place of each array among them; the rows that
+          each lane reads, into which its plan is written; and the sample of the run at row 0.
         """
         watched = cells[places["watched"] :]  # a view
         for lane, first in enumerate(begun):

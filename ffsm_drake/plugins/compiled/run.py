@@ -45,7 +45,7 @@ _KEPT = 64  # cases
 _DETECTION = "sensing.detection"
 
 
-# Sections that no code depends on; a capture without an approach gives the velocity at the start.
+# Sections on which code depends only through blocks and the controller's name, see ``Run.key``.
 _FREE = (
     "controller",
     "controllers",
@@ -66,7 +66,7 @@ _PHASES = "phases."
 
 
 class Case:
-    """What runs share that differ in their controllers at most."""
+    """What runs share that differ at most in their controllers."""
 
     def __init__(
         self,
@@ -265,8 +265,8 @@ class Case:
         return made
 
     def follow(self, memory: Arrays) -> Arrays:
-        """Let the reference go through the phase from its memory at the begin. Returns that before
-        the last sample.
+        """Compute the reference over the phase, from its memory at the begin. Return its memory
+        before the last sample.
         """
         period, samples = self.scenario.sample_time, range(self.window.start, self.window.stop)
         found, memories = list[Arrays](), [memory]
@@ -347,7 +347,7 @@ class Case:
         return made
 
     def forget_rows(self) -> None:
-        """Free what runs read, which takes longest to keep."""
+        """Free what runs read, which needs the most memory."""
         for name in ("planned", "noise"):
             vars(self).pop(name, None)
 
@@ -393,7 +393,7 @@ class Case:
 
     @functools.cached_property
     def planned(self) -> dict[str, np.ndarray]:
-        """What they read at each sample, without noise (samples, n), by the names of
+        """What runs read at each sample, without noise (samples, n), by the names of
         ``Blocks.row``; 0 before and after a phase.
         """
         watch = () if self.watch is None else (self.watch,)
@@ -418,7 +418,7 @@ class Case:
 
     @property
     def rows(self) -> dict[str, np.ndarray]:
-        """What they read at each sample (samples, n), by the names of ``Blocks.row``."""
+        """What runs read at each sample (samples, n), by the names of ``Blocks.row``."""
         return self.planned | {"noise": self.noise.white, "drift_noise": self.noise.drift}
 
 
@@ -484,7 +484,7 @@ class Run:
         self.code = (*self.code, "called", str(layout), str(ports))
 
     def with_called_law(self, why: str) -> "Run":
-        """Return the run with its law called, for this reason why it is not traced."""
+        """Return the run with its law called. Args: why the law is not traced."""
         if self.blocks.called:
             return self
         other = copy.copy(self)

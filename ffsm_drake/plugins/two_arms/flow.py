@@ -1,4 +1,4 @@
-"""Rigid contacts that close loops, as pure functions on arrays: for the compiled runs."""
+"""Rigid contacts that close loops, as pure functions on arrays for compiled runs."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -43,7 +43,7 @@ class _Seen:
         down = self.grasp.T
         whole = [down @ (turns_hand - turns), down @ (moves_hand - moves - across)]
         jacobian = np.concatenate(whole)
-        jacobian[:, :NUM_BASE_VELOCITIES] = 0.0  # but for rounding
+        jacobian[:, :NUM_BASE_VELOCITIES] = 0.0  # was zero except for rounding
         self.jacobian = np.array(loop.rows) @ jacobian
 
     def bias(self, model: PlantModel, q: Any, v: Any) -> Any:
@@ -101,7 +101,7 @@ class ContactFlow(Continuous):
         return sum(len(loop.rows) for loop in self.loops)
 
     def correct(self, inputs: Arrays) -> Any:
-        """Return the correction from a control sample on, of the state then."""
+        """Return the correction that is held from a control sample on, for the state then."""
         q, v = self._split(inputs)
         found = list[Any]()
         for loop in self.loops:
@@ -133,8 +133,8 @@ class ContactFlow(Continuous):
 
 
 def contact_flow(setup: BlockSetup) -> ContactFlow | None:
-    """Return the contacts of a chain without flexible parts, springs, noise and late hands; None:
-    it has them.
+    """Return the contacts as pure functions. None: the chain has flexible parts, springs, noise or
+    hands that close later.
     """
     closing = closing_contacts(setup.scenario, setup.grip)
     is_plain = all(

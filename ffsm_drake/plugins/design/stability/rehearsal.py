@@ -1,8 +1,8 @@
-"""A mission again and again with other noise: does it diverge under its limits?
+"""Runs of a mission with other noise sequences, to find whether it diverges under its limits.
 
-The runs are those of the scenario, with a capture from the grasp on, without faults and supervisor.
-The engine ``compiled`` makes them in about the time of one run. If it is not installed, does not
-cover them or calls their law, there are few.
+The runs have no faults and no supervisor, and a capture begins just after the grasp. The engine
+``compiled`` makes them in about the time of one run. If it is not installed, does not cover them or
+calls their law, there are only ``FEW``.
 """
 
 import dataclasses
@@ -30,11 +30,12 @@ from ffsm_drake.spacecraft.plant import coordinates_of, files_read, make_plant
 from ffsm_drake.systems.limits import actuation_limit, base_limits
 from ffsm_drake.systems.reference import timed
 
-# noise sequences: under actuators of the base, where they cost little, and on Drake
+# noise sequences: with actuators of the base; with ``actuation.limit``; on Drake or with a law
+# that is called
 SEEDS, MANY, FEW = 16, 64, 4
-_OTHERS = 1000  # from a scenario's seed to the first of its rehearsals
+_OTHERS = 1000  # added to a scenario's seed in the first run
 _FURTHER = 1.5  # standard deviations; excess of the largest of 64 runs over one run
-_CONFIDENCE = 3.0  # none of n noises diverges: the chance is below 3 / n, at 95 %
+_CONFIDENCE = 3.0  # no sequence of n diverges: the chance is below 3 / n, at 95 %
 _LIMIT = "actuation.limit"  # name among the saturated limits
 _SETTLED_AFTER = 5.0  # s; start of the rms error
 FAR = 100.0  # tolerances; a run that ends beyond has not done its task
@@ -45,8 +46,8 @@ _COMPILED = "compiled"  # the engine
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Rehearsal:
-    """Outcome of runs of a mission with other seeds. The figures are those of the runs that do not
-    diverge, or of one that does if there is no other.
+    """Outcome of runs of a mission with other seeds. The figures are of the runs that do not
+    diverge. If all diverge, they are of one of these.
     """
 
     scenario: Scenario  # that was run
@@ -142,9 +143,9 @@ class _Figures(NamedTuple):
 
 
 def rehearse(scenario: Scenario, *, seeds: int = SEEDS, on_drake: bool = True) -> Rehearsal | None:
-    """Run a mission with other noise sequences, with a capture from the grasp on.
+    """Run a mission with other noise sequences. A capture begins just after the grasp.
 
-    The same question is answered from memory, unless code of a user may have changed.
+    Results are kept, except with code of a user, which may have changed.
 
     Args:
       scenario: the mission.
@@ -210,7 +211,7 @@ def _is_lost(ending: Ending) -> bool:
     return not ending.excess <= FAR
 
 
-@memoized(maxsize=4)  # a run's check and its report ask for the same
+@memoized(maxsize=4)  # the check before a run and its report use the same
 def _shared(
     scenario: Scenario, seeds: int, on_drake: bool, files: tuple[Path, ...]
 ) -> Rehearsal | None:
@@ -288,7 +289,7 @@ def _figures(log: RunLog) -> _Figures:
 
 
 def _alone(scenario: Scenario) -> Scenario:
-    """A mission from the grasp on, without faults and supervisor."""
+    """The mission without faults and supervisor. A capture begins just after the grasp."""
     return dataclasses.replace(timed(*from_grasp(scenario)), faults=None, supervisor=None)
 
 
