@@ -262,7 +262,7 @@ class Supervising(Sampled):
         }  # fmt: skip
 
     def start(self, state: np.ndarray | None = None) -> Arrays:
-        """See Sampled. Its first entry, ``restart``: 1 while the law restarts and ``force`` acts."""
+        """See Sampled. First entry, ``restart``: 1 while the law restarts and ``force`` acts."""
         sizes = {name: size for name, size in self.outputs.items() if name != "asks"}
         # time of saturation and of little force, s; number of plans; request before; answer: 1 a
         # plan, 2 none
