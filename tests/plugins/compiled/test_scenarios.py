@@ -7,6 +7,7 @@ import pytest
 from compared_runs import check, of_seeds
 
 from ffsm_drake import simulate_many
+from ffsm_drake.runs.metrics import phases_of
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
 SHIPPED = {
@@ -299,6 +300,14 @@ def test_drawn_scenarios_have_the_runs_of_drake(draw, seed):
     found = check(of_seeds(name, ["duration=0.2", f"controller={law}", *given], each))
     engines = {record.engine for record in found if record.outcome.status != "diverged"}
     assert draw is late_sensors or engines <= {"compiled"}
+
+
+@pytest.mark.long
+def test_a_second_try_has_the_run_of_drake():
+    """The target slips out of the gripper twice; the servicer waits far from it in between."""
+    given = ["duration=118", "capture.closing.preload=0.1", "capture.retreat={}", "supervisor={}"]
+    (record,) = check(of_seeds("tumbling_capture", given, [[]]))
+    assert {"closing", "retreat", "closing_2", "retreat_2"} <= phases_of(record.dataset).keys()
 
 
 def closed_chains(random):
