@@ -4,7 +4,6 @@ import ast
 import dataclasses
 import math
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ import ffsm_drake
 from ffsm_drake import load_scenario, make_nominal_plant
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.plugins.compiled.run import case_of
-from ffsm_drake.plugins.design.stability import rehearsal
 from ffsm_drake.plugins.estimators import estimators
 from ffsm_drake.plugins.planning import tvlqr
 from ffsm_drake.scenario import EMPTY, HELD, planned_part
@@ -21,7 +19,8 @@ from ffsm_drake.systems.controllers import make_law
 
 # memoised functions of a mission as a whole
 _OF_MISSIONS = {
-    "_budget_of", "_clear_start", "_found", "_path", "_plan_clearance_of", "returned_shares",
+    "_budget_of", "_clear_start", "_found", "_path", "_plan_clearance_of", "_shared",
+    "returned_shares",
 }  # fmt: skip
 
 
@@ -56,15 +55,11 @@ def _gains_along(scenario, grip):
     return estimators._gains_along(planned_part(scenario), grip, (), axes=axes, **noises)[1][:1]
 
 
-def _shared(scenario, grip):
-    return rehearsal._shared(scenario, grip, (), linearizer=SimpleNamespace(grip=grip))
-
-
 def _case_of(scenario, grip):
     return case_of(scenario, grip).nominal.calc_mass_matrix(np.eye(12)[0])
 
 
-_OF_PHASES = {each.__name__: each for each in (_gains_of, _gains_along, _shared)}
+_OF_PHASES = {each.__name__: each for each in (_gains_of, _gains_along)}
 
 
 def _memoised():
@@ -90,8 +85,7 @@ def test_every_cache_of_a_scenario_is_of_missions_or_takes_the_grip():
 
 
 @pytest.mark.parametrize("of", [*_OF_PHASES.values(), _case_of], ids=lambda each: each.__name__)
-def test_a_cache_distinguishes_grips(of, monkeypatch):
-    monkeypatch.setattr(rehearsal, "_expected", lambda linearizer: linearizer.grip)
+def test_a_cache_distinguishes_grips(of):
     scenario = _drawn(0)
     held, empty, again = (content_of(of(scenario, grip)) for grip in (HELD, EMPTY, HELD))
     assert held == again != empty
