@@ -70,10 +70,9 @@ class Monitor:
         return False
 
     def check_force(self, context: Context) -> bool:
-        """True if the controller's force is finite; otherwise as ``check``."""
-        diagram = self.loop.diagram
-        force = diagram.GetOutputPort("generalized_force").Eval(context)
-        return self.judge_force(context.get_time(), force)
+        """True if the forces of controller and actuators are finite; otherwise as ``check``."""
+        ports = map(self.loop.diagram.GetOutputPort, ("generalized_force", "applied_force"))
+        return all(self.judge_force(context.get_time(), port.Eval(context)) for port in ports)
 
     def judge_force(self, time: float, force: np.ndarray) -> bool:
         """Same as ``check_force``, for a force (nv) at a time, s."""

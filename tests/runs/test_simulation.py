@@ -301,6 +301,11 @@ class NanOnJoint2(ControlLaw):
         return np.where(np.arange(11) == 7, np.nan, sample.e), state
 
 
+class Huge(ControlLaw):
+    def step(self, sample, state):
+        return np.full(11, 1e300), state
+
+
 class Faulty(ControlLaw):
     def step(self, sample, state):
         raise RuntimeError("a fault of its own")
@@ -316,6 +321,15 @@ def test_a_state_that_is_not_finite_stops_the_run():
     assert "diverged at t = 0.00 s: the force on joint_2 is nan" in record.outcome.message
     assert record.dataset.sizes["time"] >= 1
     assert record.metrics["itae"] == 0.0
+
+
+@pytest.mark.parametrize("name", ["thrusters_only", "thrusters_and_wheels"])
+def test_a_force_that_actuators_cannot_compute_is_divergence(name):
+    """The command is finite; the allocation overflows."""
+    scenario = load_scenario(name, ["duration=0.1"])
+    record = simulate(scenario, blocks={"controller": Huge}, check_stability=False)
+    assert record.outcome.status == "diverged"
+    assert "the force on base_" in record.outcome.message
 
 
 def test_other_faults_are_not_taken_for_divergence():
