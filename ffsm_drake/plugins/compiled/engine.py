@@ -313,6 +313,6 @@ def _differences(one: RunLog, other: RunLog) -> dict[str, float]:
     found = {}
     for name, values in other.series.items():
         scale = float(np.nanmax(np.abs(values), initial=1e-3))
-        gap = np.abs(one.series[name] - values)
-        found[name] = float(gap[~(np.isnan(one.series[name]) & np.isnan(values))].max()) / scale
+        gap = np.abs(one.series[name] - values)[~(np.isnan(one.series[name]) & np.isnan(values))]
+        found[name] = float(gap.max(initial=0.0)) / scale
     return found

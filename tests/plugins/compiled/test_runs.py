@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -245,3 +246,13 @@ def forget():
     """As a new process."""
     engine._kernels.clear()
     engine._judged.clear()
+
+
+def test_a_signal_without_a_value_is_compared():
+    """Gaps in both logs agree; a gap in one log does not."""
+    gap, half, whole = np.full(3, np.nan), np.array([1.0, np.nan]), np.array([1.0, 2.0])
+    one = SimpleNamespace(series={"gap": gap, "half": half, "other": half})
+    other = SimpleNamespace(series={"gap": gap, "half": 2.0 * half, "other": whole})
+    found = engine._differences(one, other)
+    assert (found["gap"], found["half"]) == (0.0, 0.5)
+    assert not found["other"] <= 1.0
