@@ -1,11 +1,11 @@
-"""Charts: the content of a picture. ``panels`` draws them with Plotly, ``figures.axes`` with
-Matplotlib.
+"""Charts: the content of a picture, as plain data. ``panels`` draws them with Plotly,
+``figures.axes`` with Matplotlib.
 """
 
 import dataclasses
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,7 +16,9 @@ DASHES = ("solid", "dash", "dashdot", "dot", "longdashdot", "longdash")
 
 @dataclasses.dataclass(frozen=True)
 class Curve:
-    """Values y (n,) over x (n,). A single point is drawn as a marker."""
+    """Values y (n,) over x (n,), or points (x, y, z) in space. A single point is drawn as a
+    marker.
+    """
 
     x: np.ndarray
     y: np.ndarray
@@ -28,9 +30,11 @@ class Curve:
     line: bool = True  # line through the points
     size: float = 8.0  # marker size
     opacity: float = 1.0
-    filled: bool = False  # tinted down to zero
-    points: int = 0  # the largest number drawn; 0: the backend's
+    filled: Literal["", "tozeroy", "toself"] = ""  # tinted down to zero, or its closed outlines
+    points: int = 0  # the largest number drawn of a line; 0: the backend's
     run: int | None = None  # a page's chips hide and show the curves of a run
+    z: np.ndarray | None = None
+    texts: Sequence[str] = ()  # of the points: in space beside them, in a plane under the pointer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,11 +78,26 @@ class Chart:
     kind: str = "time"
     group: str = ""  # heading above the group's first panel
     height: int = 0  # px of the panel; 0: the stylesheet's
+    rows: Sequence[str] = ()  # y counts rows from the top, with these names
+    traces: Sequence[Mapping[str, Any]] = ()  # Plotly's own, behind the curves; of pages only
 
     @property
     def label_y(self) -> str:
         """Label of the y axis; none for a number without a unit."""
         return "" if self.y == "1" else self.y
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class View:
+    """Charts shown together; a section of a page shows one of its views."""
+
+    label: str
+    charts: Sequence[Chart]
+
+    @property
+    def wide(self) -> bool:
+        """True if its charts need more room than curves over time."""
+        return any(chart.kind != "time" for chart in self.charts)
 
 
 def merged(

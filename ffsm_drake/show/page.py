@@ -5,7 +5,8 @@ import functools
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -13,30 +14,45 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from ffsm_drake.common.numbers import counted
-from ffsm_drake.show.panels import TEMPLATE, View
+from ffsm_drake.show.chart import Curve, View
+from ffsm_drake.show.panels import TEMPLATE, panel_data
 from ffsm_drake.show.style import PAGE, label_of
 
 _SYMBOL = re.compile(r"(?<![\w.])(K|G|s|q|τ|β|beta|N\*)_(si|s|d\d|[iDPd])\b")
+
+# Points of all lines of a page together, and bounds on those of a line: enough for zooming in.
+_MOST_POINTS, _POINTS_PER_LINE = 800_000, (400, 4000)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Section:
     """A plug-in's section of the report: its text, and its views by name.
 
-    It comes from a service ``report_NAME``, a function of the results and the page's ``Thinning``.
+    It comes from a service ``report_NAME``, a function of the results.
     """
 
     html: Markup
     views: Sequence[View] = ()
 
 
-def render(template: str, content: Mapping[str, Any], *, package: str = "ffsm_drake.show") -> str:
-    """Return a self-contained page, or a section of one, as text.
+def render(
+    template: str,
+    content: Mapping[str, Any],
+    *,
+    package: str,
+    views: Mapping[str, Sequence[View]] = MappingProxyType({}),
+) -> Markup:
+    """Return a self-contained page, or a section of one.
 
-    ``template`` is a file in the package's folder ``templates`` (or the show room's), ``content``
-    its variables; ``plots``, from ``embedded``, adds plotly.js.
+    Args:
+      template: file in the folder ``templates`` of the package, or of the show room.
+      content: variables of the template.
+      package: name of the package.
+      views: charts of the page by section; with any, the page has plotly.js.
     """
-    return _environment(package).get_template(template).render(content)
+    plots = {"plots": _embedded(views)} if views else {}
+    page = _environment(package).get_template(template)
+    return Markup(page.render(content, views=views, **plots))
 
 
 @functools.cache
@@ -59,15 +75,27 @@ def plotly_script() -> Markup:
     return Markup(get_plotlyjs().replace("</script", "<\\/script"))
 
 
-def embedded(sections: Mapping[str, Iterable[View]]) -> Markup:
-    """Return figures of a page's sections as JSON, keyed by section, view and panel
-    (``error-0-3``).
-    """
+def lines_of(sections: Mapping[str, Sequence[View]]) -> tuple[list[Curve], int]:
+    """Return the lines of a page, and the largest number of points that it draws of each."""
+    lines = [
+        curve
+        for views in sections.values()
+        for view in views
+        for chart in view.charts
+        for curve in chart.curves
+        if curve.line and not curve.filled
+    ]
+    return lines, int(np.clip(_MOST_POINTS // max(len(lines), 1), *_POINTS_PER_LINE))
+
+
+def _embedded(sections: Mapping[str, Sequence[View]]) -> Markup:
+    """Return the figures of a page as JSON, keyed by section, view and panel (``error-0-3``)."""
+    _, points = lines_of(sections)
     figures = {
-        f"{key}-{i}-{k}": panel.figure.to_plotly_json()
+        f"{key}-{i}-{k}": panel_data(chart, points)
         for key, views in sections.items()
         for i, view in enumerate(views)
-        for k, panel in enumerate(view.panels)
+        for k, chart in enumerate(view.charts)
     }
     return script_json({"template": TEMPLATE, "figures": figures})
 

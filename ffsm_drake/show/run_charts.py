@@ -116,6 +116,42 @@ def frame_charts(results: Sequence[Result]) -> list[Chart]:
     ]  # fmt: skip
 
 
+def path_charts(results: Sequence[Result]) -> list[Chart]:
+    """Return the path of the end effector in space, with the first run's reference, and its
+    distance from the reference.
+    """
+    paths, marks, distances = list[Curve](), list[Curve](), list[Curve]()
+    for i, result in enumerate(results):
+        path, planned = (
+            values_of(result.record, f"{kind}end_effector_position") for kind in ("", "desired_")
+        )
+        if path is None:
+            continue
+        paths.append(_path(path, Style(result.style.color), result.label, width=5.0, run=i))
+        if not marks:
+            if planned is not None:
+                marks.append(_path(planned, Style(NEUTRAL, "dash"), "reference", width=3.0))
+            marks.append(
+                _path(
+                    path[[0, -1]], Style(NEUTRAL), line=False, marker="circle", size=4.0,
+                    texts=("start", "end"),
+                )
+            )  # fmt: skip
+        if planned is not None:
+            distance = np.linalg.norm(path - planned, axis=1)
+            distances.append(run_curve(results, i, np.where(distance > 0.0, distance, np.nan)))
+    charts = [
+        Chart(title="Path in the world frame", kind="space", curves=[*paths, *marks]),
+        Chart(title="Distance from the planned path", y="m", curves=distances, log_y="~e"),
+    ]
+    return [chart for chart in charts if chart.curves]
+
+
+def _path(points: np.ndarray, style: Style, name: str = "", **look: Any) -> Curve:
+    x, y, z = points.T
+    return Curve(x, y, style, name, z=z, **look)
+
+
 def attitude_charts(results: Sequence[Result]) -> list[Chart]:
     """Return roll, pitch and yaw of the base, and their references."""
     places = [{"Roll": 0, "Pitch": 1, "Yaw": 2}] * len(results)

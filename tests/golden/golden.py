@@ -31,7 +31,6 @@ from last_bits import with_other_last_bits
 from ffsm_drake import FfsmError, RunRecord, load_scenario, simulate
 from ffsm_drake.cli import main as ffsm
 from ffsm_drake.scenario import scenario_to_dict, shipped_scenarios
-from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.results import results_of
 from ffsm_drake.systems.registry import shipped_names
 
@@ -99,20 +98,19 @@ def report_outline(record: RunRecord) -> dict[str, Any]:
         importlib.import_module(f"ffsm_drake.plugins.report.{name}")
         for name in ("comparison", "part_panels", "time_panels")
     )
-    shown, thin = results_of([record]), Thinning(1000)
+    shown = results_of([record])
     sections = {
-        **time.run_views(shown, thin),
+        **time.run_views(shown),
         **{
-            title.lower().partition(" ")[0]: parts.part_views(shown, thin, title)
+            title.lower().partition(" ")[0]: parts.part_views(shown, title)
             for title in parts.part_sections(shown)
         },
     }
     panels = [
-        f"{section} / {view.label} / {panel.title} [{panel.figure.layout.yaxis.title.text}]: "
-        f"{len(panel.figure.data)}"
+        f"{section} / {view.label} / {chart.title} [{chart.label_y}]: {len(chart.curves)}"
         for section, views in sections.items()
         for view in views
-        for panel in view.panels
+        for chart in view.charts
     ]
     rows = [f"{row.head} / {row.label} [{row.unit}]" for row in comparison.table(shown)]
     return {"panels": panels, "table": rows}

@@ -31,7 +31,6 @@ from ffsm_drake.common.plugins import service
 from ffsm_drake.runs.limits import limits_left
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.runs.rollout import Rollout, user_supplied
-from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.limits import Limit
@@ -420,9 +419,9 @@ def test_all_that_a_part_can_say_of_itself(tmp_path):
     ]
     assert comparison.rankings(results)[-1]["title"] == "By energy (J)"
     panels = pytest.importorskip("ffsm_drake.plugins.report.part_panels")
-    (view,) = panels.part_views(results, Thinning(100), "Motion & heat")
+    (view,) = panels.part_views(results, "Motion & heat")
     assert view.label == "Switched on"
-    assert [trace.name for trace in view.panels[0].figure.data] == [
+    assert [trace.name for trace in view.charts[0].curves] == [
         "TDC, run 1, left",
         "TDC, run 1, right",
     ]

@@ -4,11 +4,8 @@ import functools
 from collections.abc import Sequence
 from typing import Any
 
-from markupsafe import Markup
-
 from ffsm_drake.plugins.analysis import Finding, analyze
 from ffsm_drake.show.page import Section, render
-from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.results import Result, attempt
 
 _TONES = {
@@ -20,11 +17,11 @@ _TONES = {
 }
 
 
-def findings_section(results: Sequence[Result], thin: Thinning) -> Section:
+def findings_section(results: Sequence[Result]) -> Section:
     """Claims and balances, checked on every run."""
     content = {"findings": [_findings(result) for result in results], "tones": _TONES}
-    text = render("findings.html.j2", content, package="ffsm_drake.plugins.analysis")
-    return Section(html=Markup(text))
+    html = render("findings.html.j2", content, package="ffsm_drake.plugins.analysis")
+    return Section(html=html)
 
 
 def _findings(result: Result) -> dict[str, Any]:

@@ -8,15 +8,15 @@ import numpy as np
 
 from ffsm_drake.plugins.campaign.statistics import Findings, GridPoint, Runs
 from ffsm_drake.runs.metrics import METRICS
-from ffsm_drake.show.chart import Chart, Curve, Level
+from ffsm_drake.show.chart import Chart, Curve, Level, View
 from ffsm_drake.show.curves import cumulative
-from ffsm_drake.show.panels import Panel, Thinning, Trace, View, panel
 from ffsm_drake.show.style import BLUE, NEUTRAL, UNSTABLE, Style, styles_of
+
+Json = dict[str, Any]
 
 FAILED = "#CC3311"
 SETTLED = "#4477AA"
 _LIMITS = (FAILED, "#EE7733", "#AA3377", "#009988", "#BBBBBB")  # failed runs by the first limit
-_THIN = Thinning(1500)
 _SHARE = (0.0, 101.0)  # %
 _HEADINGS = {each.column_name: each.column_heading for each in METRICS}
 GRID_METRICS = {
@@ -29,18 +29,18 @@ def chart_views(findings: Findings) -> dict[str, list[View]]:
     """Section -> its charts; sections without any are left out."""
     limits = sorted({limit for runs in findings.table.runs.values() for limit in limits_of(runs)})
     colors = dict(zip(limits, itertools.cycle(_LIMITS), strict=False))  # the same in every map
-    panels = {
+    charts = {
         "success": [_success(findings)],
         "accuracy": [_cumulative(findings, metric) for metric in ("itae", "isv")],
         "difference": _differences(findings),
         "sensitivity": [_sensitivity(findings)] if findings.drivers else [],
-        "map": [_map(findings, runs, colors) for runs in findings.table.runs.values()]
-        if findings.map is not None
-        else [],
+        "map": []
+        if findings.map is None
+        else [_map(findings, runs, colors) for runs in findings.table.runs.values()],
     }
-    views = {key: [View(label="", panels=shown)] for key, shown in panels.items() if shown}
-    grid = _grid(findings)
-    return views | ({"grid": grid} if grid else {})
+    views = {key: [View(label="", charts=shown)] for key, shown in charts.items()}
+    views["grid"] = _grid(findings)
+    return {key: shown for key, shown in views.items() if any(view.charts for view in shown)}
 
 
 def _styles(findings: Findings) -> dict[str, Style]:
@@ -48,34 +48,34 @@ def _styles(findings: Findings) -> dict[str, Style]:
     return dict(zip(names, styles_of(names), strict=True))
 
 
-def _bars(title: str, traces: Sequence[Trace], *, x: str, rows: int, **rest: Any) -> Panel:
-    """Horizontal bars over the page's whole width, the first row at the top."""
-    chart = Chart(title=title, x=x, curves=[], kind="full", height=90 + 40 * rows, **rest)
-    rows_down = {"autorange": "reversed", "showgrid": False}
-    return panel(chart, _THIN, before=traces, yaxis=rows_down)
+def _bars(title: str, traces: Sequence[Json], rows: Sequence[str], **rest: Any) -> Chart:
+    """Horizontal bars over the page's whole width."""
+    horizontal = [trace | {"orientation": "h"} for trace in traces]
+    height = 90 + 40 * max(len(rows), len(rows) * len(traces) // 2)
+    return Chart(
+        title=title, curves=[], kind="full", rows=rows, traces=horizontal, height=height, **rest
+    )
 
 
-def _success(findings: Findings) -> Panel:
+def _success(findings: Findings) -> Chart:
     """Success rate of every controller with its interval."""
     styles, rates = _styles(findings), findings.success
-    whiskers = {
-        "array": [100.0 * (rate.high - rate.value) for rate in rates.values()],
-        "arrayminus": [100.0 * (rate.value - rate.low) for rate in rates.values()],
-    }
-    bars: Trace = {
-        "type": "bar",
-        "orientation": "h",
-        "x": [100.0 * rate.value for rate in rates.values()],
-        "y": [findings.spec.label(name) for name in rates],
+    value, low, high = 100.0 * np.array([(r.value, r.low, r.high) for r in rates.values()]).T
+    bars = {
+        "type": "bar", "x": value, "y": np.arange(len(rates)),
         "marker": {"color": [styles[name].color for name in rates], "opacity": 0.6},
-        "error_x": {"type": "data", "symmetric": False, "color": NEUTRAL, **whiskers},
+        "error_x": {
+            "type": "data", "symmetric": False, "color": NEUTRAL, "array": high - value,
+            "arrayminus": value - low,
+        },
         "hovertemplate": "%{y}: %{x:.2f} %<extra></extra>",
-    }
+    }  # fmt: skip
     title = "Share of settled runs; the whiskers are the interval"
-    return _bars(title, [bars], x="settled runs [%]", rows=len(rates), range_x=_SHARE)
+    names = [findings.spec.label(name) for name in rates]
+    return _bars(title, [bars], names, x="settled runs [%]", range_x=_SHARE)
 
 
-def _cumulative(findings: Findings, metric: str) -> Panel:
+def _cumulative(findings: Findings, metric: str) -> Chart:
     """Share of all cases that settled with at most a given value of the metric."""
     curves, name = [], metric.upper()
     for controller, style in _styles(findings).items():
@@ -83,36 +83,30 @@ def _cumulative(findings: Findings, metric: str) -> Panel:
         x, y = cumulative(runs.metrics[metric][runs.settled], runs.case.size)
         label = findings.spec.label(controller)
         curves.append(Curve(x, y, style, label, width=2.0, steps=True))
-    chart = Chart(
+    return Chart(
         title=f"Cases settled with at most a given {name}", kind="chart", curves=curves, x=name,
-        y="settled [% of cases]", log_x="~g", range=_SHARE,
-        legend=True,
+        y="settled [% of cases]", log_x="~g", range=_SHARE, legend=True,
     )  # fmt: skip
-    return panel(chart, _THIN)
 
 
-def _differences(findings: Findings) -> list[Panel]:
+def _differences(findings: Findings) -> list[Chart]:
     """Return the distribution of each pair's ITAE ratio on the same cases: quartiles and the middle
     90 %.
     """
     pairs = [item for item in findings.differences if item.ratios.size]
-    if not pairs:
-        return []
     levels = {"lowerfence": 0.05, "q1": 0.25, "median": 0.5, "q3": 0.75, "upperfence": 0.95}
-    boxes: Trace = {
-        "type": "box", "orientation": "h", "line": {"color": BLUE, "width": 1.4}, "name": "",
-        "y": [
-            " /<br>".join(map(findings.spec.label, (item.first, item.second))) for item in pairs
-        ],
+    boxes = {
+        "type": "box", "line": {"color": BLUE, "width": 1.4}, "name": "",
+        "y": np.arange(len(pairs)),
+        **{name: [np.quantile(each.ratios, at) for each in pairs] for name, at in levels.items()},
     }  # fmt: skip
-    for name, level in levels.items():
-        boxes[name] = [float(np.quantile(item.ratios, level)) for item in pairs]
     title = (
         "Ratio of ITAE on the same case (below 1: the first is more accurate): quartiles and "
         "the middle 90 %"
     )
+    rows = [" / ".join(map(findings.spec.label, (item.first, item.second))) for item in pairs]
     one = [Level(1.0, axis="x")]
-    return [_bars(title, [boxes], x="ratio of ITAE", rows=len(pairs), log_x="~g", levels=one)]
+    return [_bars(title, [boxes], rows, x="ratio of ITAE", log_x="~g", levels=one)] if pairs else []
 
 
 def _grid(findings: Findings) -> list[View]:
@@ -129,13 +123,13 @@ def _grid(findings: Findings) -> list[View]:
         views.setdefault(", ".join(others), []).append(point)
     return [
         View(
-            label=label, panels=[_grid_panel(findings, along, points, key) for key in GRID_METRICS]
+            label=label, charts=[_grid_chart(findings, along, points, key) for key in GRID_METRICS]
         )
         for label, points in views.items()
     ]
 
 
-def _grid_panel(findings: Findings, along: str, points: Sequence[GridPoint], metric: str) -> Panel:
+def _grid_chart(findings: Findings, along: str, points: Sequence[GridPoint], metric: str) -> Chart:
     values, curves = findings.spec.distributions[along].levels, []
     for name, style in _styles(findings).items():
         own = sorted(
@@ -147,43 +141,38 @@ def _grid_panel(findings: Findings, along: str, points: Sequence[GridPoint], met
         look: dict[str, Any] = {"width": 2.0, "marker": "circle", "size": 6.0}
         curves.append(Curve(x, y, style, findings.spec.label(name), **look))
     wide = min(values.values()) > 0 and max(values.values()) >= 100 * min(values.values())
-    chart = Chart(
+    return Chart(
         title=GRID_METRICS[metric], kind="chart", curves=curves, x=along, legend=True,
         log_x="~e" if wide else "", log_y="~g",
     )  # fmt: skip
-    return panel(chart, _THIN)
 
 
-def _sensitivity(findings: Findings) -> Panel:
+def _sensitivity(findings: Findings) -> Chart:
     """Share of the variance of failure explained by each value, and the share expected by
     chance.
     """
-    names = findings.drivers
-    traces: list[Trace] = []
-    for k, (controller, style) in enumerate(_styles(findings).items()):
+    traces = []
+    for controller, style in _styles(findings).items():
         by_name = {
             item.name: item for item in findings.sensitivities if item.controller == controller
         }
-        items = [by_name[name] for name in names]
-        opacity = [1.0 if item.matters else 0.35 for item in items]
+        items = [by_name[name] for name in findings.drivers]
         traces.append({
-            "type": "bar",
-            "orientation": "h",
-            "name": findings.spec.label(controller),
-            "y": names,
+            "type": "bar", "name": findings.spec.label(controller), "y": np.arange(len(items)),
             "x": [100.0 * item.share for item in items],
             "customdata": [[item.correlation, 100.0 * item.chance] for item in items],
-            "marker": {"color": style.color, "opacity": opacity},
-            "offsetgroup": str(k),
+            "marker": {
+                "color": style.color,
+                "opacity": [1.0 if item.matters else 0.35 for item in items],
+            },
             "hovertemplate": "%{y}: %{x:.1f} % (chance %{customdata[1]:.1f} %), rank "
             "correlation %{customdata[0]:.2f}",
         })  # fmt: skip
     title = (
         "Share of the variance of failure explained by one value alone; pale: no more than chance"
     )
-    rows = 1 + len(names) * max(1, len(traces) // 2)
     x = "explained variance of failure [%]"
-    return _bars(title, traces, x=x, rows=rows, legend=True)
+    return _bars(title, traces, findings.drivers, x=x, legend=True)
 
 
 def _marked(runs: Runs, colors: Mapping[str, str]) -> list[tuple[np.ndarray, str, str, str]]:
@@ -217,43 +206,35 @@ def limits_of(runs: Runs) -> dict[str, int]:
     return {str(names[i]): int(counts[i]) for i in np.argsort(-counts, kind="stable")}
 
 
-def _map(findings: Findings, runs: Runs, colors: Mapping[str, str]) -> Panel:
+def _map(findings: Findings, runs: Runs, colors: Mapping[str, str]) -> Chart:
     """Outcomes of one controller over two values, and where it is predicted to fail."""
     grid = findings.map
     assert grid is not None
-    traces: list[Trace] = []
-    if runs.controller in grid.radius and np.isfinite(grid.radius[runs.controller]).any():
-        traces.append({
-            "type": "contour",
-            "x": grid.x,
-            "y": grid.y,
-            "z": grid.side(runs.controller),
-            # One level, at 1: clear below it, shaded above.
-            "autocontour": False,
-            "contours": {"start": 1.0, "end": 1.0, "size": 0.1, "coloring": "fill"},
-            "zmin": 0.95,
-            "zmax": 1.05,
-            "colorscale": [[0.0, "rgba(255, 255, 255, 0)"], [1.0, UNSTABLE]],
-            "showscale": False,
-            "line": {"color": NEUTRAL, "width": 2, "smoothing": 0},
-            "hoverinfo": "skip",
-        })  # fmt: skip
+    known = np.isfinite(grid.radius.get(runs.controller, np.nan)).any()
+    boundary = {
+        "type": "contour", "x": grid.x, "y": grid.y,
+        "z": grid.side(runs.controller) if known else [],
+        # One level, at 1: clear below it, shaded above.
+        "autocontour": False,
+        "contours": {"start": 1.0, "end": 1.0, "size": 0.1, "coloring": "fill"},
+        "zmin": 0.95, "zmax": 1.05, "showscale": False, "hoverinfo": "skip",
+        "colorscale": [[0.0, "rgba(255, 255, 255, 0)"], [1.0, UNSTABLE]],
+        "line": {"color": NEUTRAL, "width": 2, "smoothing": 0},
+    }  # fmt: skip
     x, y = (findings.table.values[axis][runs.case] for axis in (grid.x_name, grid.y_name))
-    for which, label, color, symbol in _marked(runs, colors):
-        cases = zip(runs.case[which], runs.outcome[which], strict=True)
-        traces.append({
-            "type": "scattergl" if x.size > 3000 else "scatter",
-            "mode": "markers",
-            "name": label,
-            "x": x[which],
-            "y": y[which],
-            "text": [f"case {case}: {outcome}" for case, outcome in cases],
-            "hovertemplate": "%{text}<br>%{x:.4g}, %{y:.4g}<extra></extra>",
-            "marker": {"color": color, "symbol": symbol, "size": 7 if x.size < 1000 else 4},
-        })  # fmt: skip
-    chart = Chart(
-        title=findings.spec.label(runs.controller), kind="map", curves=[], legend=True,
-        x=grid.x_name, y=grid.y_name, log_x="~g" * grid.x_log, log_y="~g" * grid.y_log,
+    texts = np.array([
+        f"case {case}: {outcome}" for case, outcome in zip(runs.case, runs.outcome, strict=True)
+    ])  # fmt: skip
+    size = 7.0 if x.size < 1000 else 4.0
+    curves = [
+        Curve(
+            x[which], y[which], Style(color), label, line=False, marker=symbol, size=size,
+            texts=texts[which].tolist(),
+        )
+        for which, label, color, symbol in _marked(runs, colors)
+    ]  # fmt: skip
+    return Chart(
+        title=findings.spec.label(runs.controller), kind="map", curves=curves, legend=True,
+        traces=[boundary] if known else [], x=grid.x_name, y=grid.y_name,
+        log_x="~g" * grid.x_log, log_y="~g" * grid.y_log,
     )  # fmt: skip
-    plain = {"zeroline": False}
-    return panel(chart, _THIN, before=traces, xaxis=plain, yaxis=plain)

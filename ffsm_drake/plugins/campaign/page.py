@@ -30,7 +30,7 @@ from ffsm_drake.plugins.campaign.statistics import (
     worst_runs,
 )
 from ffsm_drake.plugins.campaign.store import Store
-from ffsm_drake.show.page import embedded, render
+from ffsm_drake.show.page import render
 from ffsm_drake.show.table_files import Column
 from ffsm_drake.show.tables import aligned
 
@@ -170,8 +170,6 @@ def _page(store: Store, findings: Findings) -> str:
         "has_boundary": found is not None
         and any(np.isfinite(radius).any() for radius in found.radius.values()),
         "fixed": {} if found is None else {key: _plain(x) for key, x in found.fixed.items()},
-        "views": views,
-        "plots": embedded(views),
         "specification": yaml.safe_dump(
             {key: value for key, value in spec.data.items() if key != "base"},
             sort_keys=False,
@@ -185,7 +183,8 @@ def _page(store: Store, findings: Findings) -> str:
         else _command("report", store.path, "--boundary", 300, "--map", found.x_name, found.y_name),
         "fingerprint": spec.fingerprint,
     }
-    return render("campaign.html.j2", content, package="ffsm_drake.plugins.campaign")
+    package = "ffsm_drake.plugins.campaign"
+    return render("campaign.html.j2", content, package=package, views=views)
 
 
 def _metric_tables(spec: Spec) -> list[dict[str, str]]:

@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 
 from ffsm_drake.common.numbers import number
 from ffsm_drake.plugins.capture.momentum import momentum_lines
 from ffsm_drake.plugins.capture.tables import facts_of
 from ffsm_drake.show.page import Section, render
-from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.results import Result
 
 _LEDGER = (
@@ -22,14 +20,14 @@ _LEDGER = (
 )
 
 
-def grasp_section(results: Sequence[Result], thin: Thinning) -> Section | None:
+def grasp_section(results: Sequence[Result]) -> Section | None:
     """The grasps of the runs; None without any."""
     grasps = [grasp for result in results if (grasp := grasp_of(result)) is not None]
     if not grasps:
         return None
     content = {"grasps": grasps, "several": len(results) > 1}
-    text = render("grasp.html.j2", content, package="ffsm_drake.plugins.capture")
-    return Section(html=Markup(text))
+    html = render("grasp.html.j2", content, package="ffsm_drake.plugins.capture")
+    return Section(html=html)
 
 
 def grasp_of(result: Result) -> dict[str, Any] | None:

@@ -118,7 +118,7 @@ def map_chart(margins: Margins, axes: AxisMargins, style: Style) -> Chart:
     tops = [*used.values(), np.interp(high, eta, np.nan_to_num(limit))]
     if finite.size:
         tops.append(np.median(finite))
-    boundary = Curve(eta, limit, style, "stability limit", width=2.0, filled=True)
+    boundary = Curve(eta, limit, style, "stability limit", width=2.0, filled="tozeroy")
     return Chart(
         title=f"Stable below the curve, {what} of "
         f"{margins.coordinates.names[axis].replace('_', ' ')}",

@@ -6,8 +6,6 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from markupsafe import Markup
-
 from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.plugins.design.charts import (
     eta_chart,
@@ -19,31 +17,28 @@ from ffsm_drake.plugins.design.charts import (
 from ffsm_drake.plugins.design.stability import Margins, stability
 from ffsm_drake.plugins.design.stability.linear_loop import radius_digits
 from ffsm_drake.plugins.design.tables import margins_data
-from ffsm_drake.show.chart import Chart
+from ffsm_drake.show.chart import Chart, View
 from ffsm_drake.show.page import Section, render
-from ffsm_drake.show.panels import Thinning, View, panels
 from ffsm_drake.show.results import Result, attempt
 from ffsm_drake.show.run_charts import run_curve
 from ffsm_drake.show.style import Style
 
 
-def stability_section(results: Sequence[Result], thin: Thinning) -> Section:
+def stability_section(results: Sequence[Result]) -> Section:
     """The margins of every run, or why there are none."""
     found = [
         attempt("stability", result, functools.partial(stability, result.record.scenario))
         for result in results
     ]
-    views = _views(results, [margins for margins, _ in found], thin)
+    views = _views(results, [margins for margins, _ in found])
     told = [_told(result, *margins) for result, margins in zip(results, found, strict=True)]
-    content = {"stability": told, "views": views}
-    text = render("stability.html.j2", content, package="ffsm_drake.plugins.design")
-    return Section(html=Markup(text), views=views)
+    content = {"stability": told, "shown": views}
+    html = render("stability.html.j2", content, package="ffsm_drake.plugins.design")
+    return Section(html=html, views=views)
 
 
-def _views(
-    results: Sequence[Result], margins: Sequence[Margins | None], thin: Thinning
-) -> list[View]:
-    """The panels of the runs that could be assessed; empty if there is none."""
+def _views(results: Sequence[Result], margins: Sequence[Margins | None]) -> list[View]:
+    """The charts of the runs that could be assessed; empty if there is none."""
     assessed = {i: margin for i, margin in enumerate(margins) if margin is not None}
     if not assessed:
         return []
@@ -63,7 +58,7 @@ def _views(
                 charts.append(forecast_chart(margin, margin.axes, title, result=results[i]))
             chart = map_chart(margin, margin.axes, Style(results[i].style.color))
             charts.append(dataclasses.replace(chart, title=f"{chart.title}: {results[i].label}"))
-    return [View(label="Stability", panels=panels(charts, thin))]
+    return [View(label="Stability", charts=charts)]
 
 
 def _eta_charts(results: Sequence[Result], assessed: dict[int, Margins]) -> list[Chart]:

@@ -15,7 +15,7 @@ from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.report.comparison import rankings, table, table_notes
 from ffsm_drake.plugins.report.part_panels import part_sections, part_tables, part_text, part_views
 from ffsm_drake.plugins.report.provenance import provenance, software
-from ffsm_drake.plugins.report.time_panels import points_per_curve, run_views
+from ffsm_drake.plugins.report.time_panels import run_views
 from ffsm_drake.runs.ending import (
     DIVERGED,
     FAILED,
@@ -30,8 +30,8 @@ from ffsm_drake.runs.limits import broken_limits, run_remarks
 from ffsm_drake.runs.reading import IDENTIFIER
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario, controller_key
-from ffsm_drake.show.page import embedded, render
-from ffsm_drake.show.panels import Thinning
+from ffsm_drake.show.chart import Curve
+from ffsm_drake.show.page import lines_of, render
 from ffsm_drake.show.results import Result, attempt, results_of
 from ffsm_drake.show.style import GROUP_TITLES
 
@@ -127,19 +127,18 @@ def render_report(
     ``folder``.
     """
     results = results_of(records)
-    thin = Thinning(points_per_curve(results))
     given = {
         name: section
         for name in _FROM_PLUGINS
         if (make := optional(SERVICES, f"report_{name}")) is not None
-        and (section := make(results, thin)) is not None
+        and (section := make(results)) is not None
     }
-    views = run_views(results, thin)
+    views = run_views(results)
     of_parts = {
         f"part_{re.sub(r'[^a-z0-9]+', '_', title.lower())}": (title, part.about)
         for title, part in part_sections(results).items()
     }
-    views |= {key: part_views(results, thin, title) for key, (title, _) in of_parts.items()}
+    views |= {key: part_views(results, title) for key, (title, _) in of_parts.items()}
     views |= {name: list(section.views) for name, section in given.items()}
     sections = _SECTIONS | {
         key: (heading, part_text(results, heading, about), "")
@@ -159,18 +158,17 @@ def render_report(
             {"key": key, "title": heading, "text": text if key in views else nothing}
             for key, (heading, text, nothing) in sections.items()
         ],
-        "views": views,
         "part_tables": {
             key: part_tables(results, heading) for key, (heading, _) in of_parts.items()
         },
         "given": given,
-        "thinning": _thinning(thin),
+        "thinning": _thinning(*lines_of(views)),
         "provenance": provenance(results, folder),
         "software": software(records),
         "tones": _STATUS_TONES,
-        "plots": embedded(views),
     }
-    return render("report.html.j2", content, package="ffsm_drake.plugins.report")
+    package = "ffsm_drake.plugins.report"
+    return render("report.html.j2", content, package=package, views=views)
 
 
 def _heading(records: Sequence[RunRecord], title: str | None) -> Json:
@@ -242,11 +240,12 @@ def _tally(counted: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {word}" for word, count in counted.items() if count)
 
 
-def _thinning(thin: Thinning) -> str:
-    if thin.longest <= thin.points:
+def _thinning(lines: Sequence[Curve], points: int) -> str:
+    longest = max((line.x.size for line in lines), default=0)
+    if longest <= points:
         return "The plots show every control sample."
     return (
-        f"Curves of more than {thin.points} samples are thinned for display (the longest has "
-        f"{thin.longest}). The smallest and the largest value of each short interval are drawn, so "
+        f"Curves of more than {points} samples are thinned for display (the longest has "
+        f"{longest}). The smallest and the largest value of each short interval are drawn, so "
         "all peaks remain. The numbers on this page are computed from all samples."
     )

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.numbers import number
-from ffsm_drake.show.chart import Chart, Curve
-from ffsm_drake.show.panels import Panel, Thinning, View, escape, panel, panels
+from ffsm_drake.show.chart import Chart, Curve, View
 from ffsm_drake.show.results import Result
 from ffsm_drake.show.run_charts import run_curve
 from ffsm_drake.show.style import Style
@@ -27,7 +26,7 @@ def part_sections(results: Sequence[Result]) -> dict[str, PartRecord]:
     }
 
 
-def part_views(results: Sequence[Result], thin: Thinning, section: str) -> list[View]:
+def part_views(results: Sequence[Result], section: str) -> list[View]:
     """Views of the signals of the parts of a section, the runs that have them overlaid."""
     having: dict[tuple[str, str], list[tuple[int, Drawing]]] = {}
     for i, result in enumerate(results):
@@ -38,9 +37,7 @@ def part_views(results: Sequence[Result], thin: Thinning, section: str) -> list[
     return [
         View(
             label=heading,
-            panels=_timelines(results, thin, drawn)
-            if drawn[0][1].chart == TIMELINE
-            else _curves(results, thin, drawn),
+            charts=(_timelines if drawn[0][1].chart == TIMELINE else _curves)(results, drawn),
         )
         for (_, heading), drawn in having.items()
     ]
@@ -87,10 +84,8 @@ def _figure(value: float | None) -> str:
     return str(value) if isinstance(value, int) else number(value)
 
 
-def _curves(
-    results: Sequence[Result], thin: Thinning, drawn: Sequence[tuple[int, Drawing]]
-) -> list[Panel]:
-    """A panel for each component that is drawn."""
+def _curves(results: Sequence[Result], drawn: Sequence[tuple[int, Drawing]]) -> list[Chart]:
+    """A chart for each component that is drawn."""
     units = {name: unit for _, drawing in drawn for name, unit in drawing.panels.items()}
     curves: dict[str, list[Curve]] = {name: [] for name in units}
     for i, drawing in drawn:
@@ -103,10 +98,9 @@ def _curves(
             steps = drawing.chart == STEPS
             curves[name].append(run_curve(results, i, columns[name], steps=steps))
             curves[name] += _band(results, i, drawing, name)
-    return panels(
-        (Chart(title=name.replace("_", " "), y=units[name], curves=curves[name]) for name in units),
-        thin,
-    )
+    return [
+        Chart(title=name.replace("_", " "), y=units[name], curves=curves[name]) for name in units
+    ]
 
 
 def _band(results: Sequence[Result], i: int, drawing: Drawing, name: str) -> list[Curve]:
@@ -127,35 +121,25 @@ def _band(results: Sequence[Result], i: int, drawing: Drawing, name: str) -> lis
     ]  # fmt: skip
 
 
-def _timelines(
-    results: Sequence[Result], thin: Thinning, drawn: Sequence[tuple[int, Drawing]]
-) -> list[Panel]:
-    """A panel per run: a row for each component, a box for each time that it is on."""
+def _timelines(results: Sequence[Result], drawn: Sequence[tuple[int, Drawing]]) -> list[Chart]:
+    """A chart per run: a row for each component, a box for each time that it is on."""
     shown = []
     for i, drawing in drawn:
-        run, names = results[i], list(drawing.panels)
+        run, names, curves = results[i], list(drawing.panels), []
         period = run.record.scenario.sample_time
         values = run.record.dataset[drawing.signal].values.reshape(-1, len(names))
-        rows = []
         for row, (name, column) in enumerate(zip(names, values.T, strict=True)):
             x, y = _boxes(run.time, period, _MOST_BOXES // len(names), column, row)
             label = f"{run.label}, {name}" if len(results) > 1 else name
-            rows.append({
-                "type": "scatter", "x": x, "y": y, "name": escape(label), "mode": "lines",
-                "line": {"color": run.style.color, "width": 1.0}, "fill": "toself",
-                "connectgaps": False, "hoveron": "points", "hovertemplate": "%{x:.2f} s",
-                "legendgroup": f"run-{i}",
-            })  # fmt: skip
-        chart = Chart(
-            title=run.label if len(results) > 1 else drawing.title, curves=[], kind="chart",
-            range_x=(float(run.time[0]), float(run.time[-1]) + period),
-            height=90 + 20 * len(names),
+            style = Style(run.style.color)
+            curves.append(Curve(x, y, style, label, width=1.0, filled="toself", run=i))
+        shown.append(
+            Chart(
+                title=run.label if len(results) > 1 else drawing.title, curves=curves,
+                kind="chart", rows=names, height=90 + 20 * len(names),
+                range_x=(float(run.time[0]), float(run.time[-1]) + period),
+            )
         )  # fmt: skip
-        yaxis = {
-            "tickvals": list(range(len(names))), "ticktext": [escape(name) for name in names],
-            "range": [len(names) - 0.4, -0.6], "showgrid": False, "zeroline": False,
-        }  # fmt: skip
-        shown.append(panel(chart, thin, before=rows, xaxis={"showgrid": False}, yaxis=yaxis))
     return shown
 
 
@@ -170,4 +154,4 @@ def _boxes(
         apart = np.flatnonzero(starts[1:] - ends[:-1] > gap)
         starts, ends = starts[np.r_[0, apart + 1]], ends[np.r_[apart, ends.size - 1]]
     x = np.stack([starts, starts, ends, ends, starts, np.full(starts.size, np.nan)], axis=1)
-    return x.ravel().astype(np.float32), np.tile(row + np.array([*_BOX, np.nan]), starts.size)
+    return x.ravel(), np.tile(row + np.array([*_BOX, np.nan]), starts.size)

@@ -36,7 +36,6 @@ from ffsm_drake.plugins.report.part_panels import part_views
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Thrusters, thruster_layouts, thrusters_of
-from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
@@ -431,10 +430,10 @@ def test_the_report_draws_every_pulse(run, monkeypatch):
     for section in ("analysis.page.analyze", "design.panels.stability"):  # cost most of it
         monkeypatch.setattr(f"ffsm_drake.plugins.{section}", left_out)
     record = run(*SHORT, "actuation.thrusters.layout=12x5N")
-    (view,) = part_views(results_of([record]), Thinning(1000), "Actuators")
-    (panel,) = view.panels
+    (view,) = part_views(results_of([record]), "Actuators")
+    (panel,) = view.charts
     figures, drawn = record.metrics["thrusters"], {}
-    for trace in panel.figure.data:
+    for trace in panel.curves:
         boxes = np.reshape(trace.x, (-1, 6))
         drawn[trace.name] = (len(boxes), (boxes[:, 2] - boxes[:, 0]).sum())
         assert np.ptp(np.reshape(trace.y, (-1, 6))[:, :5], axis=1) == pytest.approx(

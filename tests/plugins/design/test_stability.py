@@ -442,11 +442,10 @@ def test_margins_where_nothing_is_stable(law, cause):
 @pytest.mark.parametrize(("law", "cause"), [("tde_aismc", "payload"), ("tdc", "gains")])
 def test_a_report_where_nothing_is_stable(law, cause):
     from ffsm_drake.plugins.design.panels import stability_section
-    from ffsm_drake.show.panels import Thinning
     from ffsm_drake.show.results import results_of
 
     with pytest.warns(StabilityWarning):
         record = simulate(hopeless(law, cause))
-    section = stability_section(results_of([record]), Thinning(50))
+    section = stability_section(results_of([record]))
     assert "unstable" in str(section.html)
-    assert len(section.views[0].panels) == 3 + (law != "tdc")
+    assert len(section.views[0].charts) == 3 + (law != "tdc")

@@ -14,7 +14,6 @@ from ffsm_drake.plugins.report.part_panels import part_sections, part_views
 from ffsm_drake.show.block_diagram import closed_loop_dot
 from ffsm_drake.show.meshcat import recording_html, start_meshcat
 from ffsm_drake.show.meshcat.replay_view import ReplayView
-from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
@@ -160,14 +159,14 @@ def test_report_and_table_tell_what_is_left(record, run):
         for key in ("peak", "residual_amplitude", "residual_rms")
     ]
     assert {row.cells[1].text for row in rows} == {NONE}
-    views = part_views(results, Thinning(1000), "Flexible parts")
+    views = part_views(results, "Flexible parts")
     assert [view.label for view in views] == ["Deflection", "Rate", "Energy"]
-    assert {panel.title for panel in views[0].panels} == {
+    assert {panel.title for panel in views[0].charts} == {
         "port",
         "starboard 1",
         "starboard 2",
         "fuel",
     }
-    (curve,) = next(panel for panel in views[0].panels if panel.title == "fuel").figure.data
+    (curve,) = next(panel for panel in views[0].charts if panel.title == "fuel").curves
     assert max(map(abs, curve.y)) == pytest.approx(figures["peak"]["fuel"])
     assert part_sections(results[1:]) == {}

@@ -8,7 +8,6 @@ from ffsm_drake.plugins.report.comparison import table
 from ffsm_drake.plugins.report.time_panels import run_views
 from ffsm_drake.show.meshcat import recording_html, start_meshcat
 from ffsm_drake.show.meshcat.replay_view import ReplayView
-from ffsm_drake.show.panels import Thinning
 from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 
@@ -73,9 +72,9 @@ def test_plain_text_has_no_error_where_nothing_tracks(by_joints):
 
 @pytest.mark.smoke
 def test_the_reports_panels(record):
-    views = run_views(results_of([record]), Thinning(50))
+    views = run_views(results_of([record]))
     assert views["error"][0].label == "Frame"
-    assert len(views["error"][0].panels) == 6
+    assert len(views["error"][0].charts) == 6
     forces = views["force"][0]
-    assert len(forces.panels) == 5  # of the joints: elsewhere no force acts
+    assert len(forces.charts) == 5  # of the joints: elsewhere no force acts
     assert np.isfinite(record.dataset["frame_error"].values).all()
