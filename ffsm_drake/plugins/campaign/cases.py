@@ -54,7 +54,7 @@ def make_case(spec: Spec, index: int, drawn: Mapping[str, Any]) -> Case:
       CampaignError: a rule cannot be applied to its sources.
     """
     values = dict(drawn)
-    for name, rule in spec.derive.items():
+    for name, rule in spec.rules.items():
         try:
             values[name] = rule.apply([_operand(spec, values, source) for source in rule.sources])
         except CampaignError as error:

@@ -15,6 +15,8 @@ A name is a factor, a parameter, a value derived before, or any other key of the
 """
 
 import dataclasses
+import functools
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from statistics import NormalDist
@@ -23,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import CampaignError
-from ffsm_drake.scenario import shown
+from ffsm_drake.scenario.resolving import resolve
 
 SAMPLINGS = ("latin_hypercube", "sobol", "random", "grid")
 # Keeps quantiles of unbounded distributions finite: SciPy's points may touch zero.
@@ -63,12 +65,15 @@ class Distribution:
     levels: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # levels of a list, by name
 
 
-_DISTRIBUTIONS = {
-    "uniform": ("low", "high"),
-    "log_uniform": ("low", "high"),
-    "normal": ("mean", "deviation"),
-    "choice": ("values",),
-    "list": ("values",),
+_Names = list[str]  # of other values; one may stand alone
+_Numbers = list[float]  # or one number
+_OPTIONAL = {"by": 1.0}  # fields that may be left out, with their values
+_DISTRIBUTIONS: dict[str, dict[str, Any]] = {
+    "uniform": {"low": float, "high": float},
+    "log_uniform": {"low": float, "high": float},
+    "normal": {"mean": float, "deviation": float},
+    "choice": {"values": Any},
+    "list": {"values": Any},
 }
 
 
@@ -77,56 +82,57 @@ def parse_distribution(data: Any, *, place: str) -> Distribution:
     errors.
 
     Raises:
-      CampaignError: an unknown distribution or field, a missing one, or numbers out of range.
+      CampaignError, ScenarioError: an unknown distribution or field, a missing one, or numbers out
+        of range.
     """
     example = "distribution: uniform, low: 0, high: 1"
-    kind = _kind_of(data, "distribution", _DISTRIBUTIONS, place=place, example=example)
+    kind, given = _parsed(data, "distribution", _DISTRIBUTIONS, place=place, example=example)
     if kind in ("choice", "list"):
-        levels = _levels(data["values"], place=f"{place}.values")
+        levels = _levels(given["values"], place=f"{place}.values")
         values = list(levels.values())
         if kind == "list":
             return Distribution(
                 value=lambda u, case: values[case % len(values)], uses_point=False, levels=levels
             )
         return Distribution(value=lambda u, case: values[int(u * len(values))])
-    first, second = (number(data[name], place=f"{place}.{name}") for name in _DISTRIBUTIONS[kind])
     if kind == "normal":
-        if second <= 0.0:
-            raise CampaignError(f"{place}.deviation: must be > 0, not {second:g}")
-        return Distribution(value=lambda u, case: NormalDist(first, second).inv_cdf(u))
-    if first >= second:
-        raise CampaignError(f"{place}: low must be below high, not {first:g} and {second:g}")
+        if given["deviation"] <= 0.0:
+            raise CampaignError(f"{place}.deviation: must be > 0, not {given['deviation']:g}")
+        normal = NormalDist(given["mean"], given["deviation"])
+        return Distribution(value=lambda u, case: normal.inv_cdf(u))
+    low, high = given["low"], given["high"]
+    if low >= high:
+        raise CampaignError(f"{place}: low must be below high, not {low:g} and {high:g}")
     if kind == "uniform":
-        if not math.isfinite(second - first):
-            raise CampaignError(
-                f"{place}: low and high are too far apart: {first:g} and {second:g}"
-            )
-        return Distribution(
-            value=lambda u, case: min(max(first + u * (second - first), first), second)
-        )
-    if first <= 0.0:
-        raise CampaignError(f"{place}.low: must be > 0 for log_uniform, not {first:g}")
-
-    def log_uniform(u: float, case: int) -> float:
-        exponent = math.log(first) + u * (math.log(second) - math.log(first))
-        return min(max(math.exp(exponent), first), second)
-
-    return Distribution(value=log_uniform, is_logarithmic=True)
+        return Distribution(value=lambda u, case: min(max(low + u * (high - low), low), high))
+    if low <= 0.0:
+        raise CampaignError(f"{place}.low: must be > 0 for log_uniform, not {low:g}")
+    first, last = math.log(low), math.log(high)
+    return Distribution(
+        value=lambda u, case: min(max(math.exp(first + u * (last - first)), low), high),
+        is_logarithmic=True,
+    )
 
 
 def _levels(data: Any, *, place: str) -> dict[str, Any]:
     """Return the values of a choice or list by name; values without names are their own."""
-    if not isinstance(data, (list, Mapping)) or not data:
+    if not isinstance(data, (list, dict)) or not data:
         raise CampaignError(f"{place}: must be a list of at least one value, or values by name")
-    if isinstance(data, Mapping):
-        return {name: _tidy(value, place=f"{place}.{name}") for name, value in data.items()}
-    values = [_tidy(value, place=f"{place}[{i}]") for i, value in enumerate(data)]
-    names = [f"{value:g}" if isinstance(value, float) else str(value) for value in values]
-    unique = len(set(names)) == len(names)
-    return {
-        name if unique else f"{i}: {name}": value
-        for i, (name, value) in enumerate(zip(names, values, strict=True))
-    }
+    levels: dict[str, Any]
+    if isinstance(data, dict):
+        levels = data
+    else:
+        names = [f"{value:g}" if isinstance(value, float) else str(value) for value in data]
+        if len(set(names)) < len(names):
+            names = [f"{i}: {name}" for i, name in enumerate(names)]
+        levels = dict(zip(names, data, strict=True))
+    for name, value in levels.items():
+        if isinstance(value, int) and not -(2**63) <= value < 2**63:
+            raise CampaignError(
+                f"{place}.{name}: a whole number must fit into 64 bits; write it with a decimal "
+                "point"
+            )
+    return levels
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -137,57 +143,29 @@ class Rule:
     apply: Callable[[list[Value]], Value]
 
 
-_OPTIONAL = ("by",)
-_RULES = {
-    "scale": ("of", "by"),
-    "sum": ("of",),
-    "relative": ("of", "error"),
-    "direction": ("of", "height", "azimuth"),
-    "solid_cube": ("mass", "side"),
-    "solid_sphere": ("mass", "radius"),
-}
-_SOLIDS = {"solid_cube": 1.0 / 6.0, "solid_sphere": 0.4}  # inertia over mass times size^2
-
-
 def parse_rule(data: Any, *, place: str) -> Rule:
     """Parse the rule in one entry of ``derive``.
 
     Raises:
-      CampaignError: an unknown rule or field, or a field missing or of the wrong type.
+      CampaignError, ScenarioError: an unknown rule or field, or a field missing or of the wrong
+        type.
     """
-    kind = _kind_of(
-        data, "rule", _RULES, place=place, example="rule: scale, of: payload.truth.mass, by: 0.8"
-    )
-    sources = _names(data[_RULES[kind][0]], place=place)
-    if kind == "relative":
-        sources = (*sources, *_names(data["error"], place=place))
-        return Rule(
-            sources=sources,
-            apply=lambda values: _product([*values[:-1], 1.0 + _single(values[-1])]),
-        )
-    if kind == "direction":
-        places = (*_names(data["height"], place=place), *_names(data["azimuth"], place=place))
-        if len(sources) > 1 or len(places) > 2:
-            raise CampaignError(f"{place}: direction takes one name each of of, height and azimuth")
-        return Rule(sources=(*sources, *places), apply=_direction)
-    if kind in _SOLIDS:
-        name, factor = _RULES[kind][1], _SOLIDS[kind]
-        size = number(data[name], place=f"{place}.{name}")
-        return Rule(sources=sources, apply=lambda m: [factor * _single(m[0]) * size * size] * 3)
-    if kind == "sum":
-        return Rule(sources=sources, apply=_sum)
-    by = data.get("by", 1.0)
-    is_list = isinstance(by, list)
-    factors = [number(item, place=f"{place}.by") for item in (by if is_list else [by])]
+    kinds = {kind: fields for kind, (fields, _) in _RULES.items()}
+    example = "rule: scale, of: payload.truth.mass, by: 0.8"
+    kind, given = _parsed(data, "rule", kinds, place=place, example=example)
+    fields, function = _RULES[kind]
+    names = {name: value for name, value in given.items() if fields[name] in (str, _Names)}
+    constants = [value for name, value in given.items() if name not in names]
+    sources = (name if isinstance(name, list) else [name] for name in names.values())
     return Rule(
-        sources=sources,
-        apply=lambda values: _product([*values, factors if is_list else factors[0]]),
+        sources=tuple(itertools.chain(*sources)), apply=lambda values: function(values, *constants)
     )
 
 
-def _product(values: list[Value]) -> Value:
-    lists = [value for value in values if isinstance(value, list)]
-    scalar = math.prod(value for value in values if not isinstance(value, list))
+def _scale(values: list[Value], by: Value) -> Value:
+    factors = [*values, by]
+    lists = [value for value in factors if isinstance(value, list)]
+    scalar = math.prod(value for value in factors if not isinstance(value, list))
     if len(lists) > 1:
         raise CampaignError("only one of the values that are multiplied may be a list")
     return [scalar * item for item in lists[0]] if lists else scalar
@@ -201,6 +179,10 @@ def _sum(values: list[Value]) -> Value:
     return math.fsum(_single(value) for value in values)
 
 
+def _relative(values: list[Value]) -> Value:
+    return _scale(values[:-1], 1.0 + _single(values[-1]))
+
+
 def _direction(values: list[Value]) -> Value:
     size, height, azimuth = map(_single, values)
     if abs(height) > 1.0:
@@ -209,103 +191,54 @@ def _direction(values: list[Value]) -> Value:
     return [across * math.cos(azimuth), across * math.sin(azimuth), size * height]
 
 
+def _solid(factor: float, values: list[Value], size: float) -> Value:
+    return [factor * _single(values[0]) * size * size] * 3
+
+
 def _single(value: Value) -> float:
     if isinstance(value, list):
         raise CampaignError("needs a single number, not a list")
     return value
 
 
-def number(data: Any, *, place: str) -> float:
-    """Return a finite number, also from text such as 1e-7, which YAML reads as a string."""
-    try:
-        if isinstance(data, bool) or not isinstance(data, (int, float, str)):
-            raise ValueError
-        value = float(data)
-    except OverflowError:
-        raise CampaignError(
-            f"{place}: must be finite, not a number of hundreds of digits"
-        ) from None
-    except ValueError:
-        raise CampaignError(f"{place}: must be a number, not {shown(data)}") from None
-    if not math.isfinite(value):
-        raise CampaignError(f"{place}: must be finite, not {value}")
-    return value
+# rule -> its fields, and its function of the values that are named and of the other fields
+_RULES: dict[str, tuple[dict[str, Any], Callable[..., Value]]] = {
+    "scale": ({"of": _Names, "by": _Numbers}, _scale),
+    "sum": ({"of": _Names}, _sum),
+    "relative": ({"of": _Names, "error": str}, _relative),
+    "direction": ({"of": str, "height": str, "azimuth": str}, _direction),
+    # inertia: a factor times mass times size^2
+    "solid_cube": ({"mass": str, "side": float}, functools.partial(_solid, 1.0 / 6.0)),
+    "solid_sphere": ({"mass": str, "radius": float}, functools.partial(_solid, 0.4)),
+}
 
 
-def check_plain(data: Any, *, place: str) -> None:
-    """Raise CampaignError for what neither a scenario nor a database can hold, at any depth."""
-    if isinstance(data, Mapping):
-        for key, value in data.items():
-            if not isinstance(key, str) or not key.isprintable() or not key:
-                raise CampaignError(f"{place}: key {shown(key)} must be printable text")
-            check_plain(value, place=f"{place}.{key}")
-    elif isinstance(data, list):
-        for i, value in enumerate(data):
-            check_plain(value, place=f"{place}[{i}]")
-    elif isinstance(data, str):
-        if any("\ud800" <= character <= "\udfff" for character in data):
-            raise CampaignError(f"{place}: holds half a character (a lone surrogate)")
-    elif isinstance(data, int):
-        if not -(2**63) <= data < 2**63:
-            raise CampaignError(
-                f"{place}: a whole number must fit into 64 bits; write it with a decimal point"
-            )
-    elif not (data is None or isinstance(data, float)):
-        raise CampaignError(
-            f"{place}: must be a number, text, list or mapping, not a {type(data).__name__}; quote "
-            "it"
-        )
-
-
-def check_keys(data: Mapping[str, Any], valid: tuple[str, ...], *, place: str) -> None:
-    """Raise CampaignError for a key that is not valid."""
-    for key in data:
-        if key not in valid:
-            raise CampaignError(f"{place}.{key}: unknown key; valid here: {', '.join(valid)}")
-
-
-def _kind_of(
-    data: Any, key: str, fields: Mapping[str, tuple[str, ...]], *, place: str, example: str
-) -> str:
-    """Return the kind named under ``key``; the entry's other keys must be the fields of that
-    kind.
+def _parsed(
+    data: Any, key: str, kinds: Mapping[str, dict[str, Any]], *, place: str, example: str
+) -> tuple[str, dict[str, Any]]:
+    """Return the kind named under ``key``, and the entry's other values, which must be the fields
+    of that kind.
     """
     if not isinstance(data, Mapping):
         raise CampaignError(f"{place}: must be a mapping such as {{{example}}}")
     kind = data.get(key)
-    if not isinstance(kind, str) or kind not in fields:
-        raise CampaignError(
-            f"{place}: {key} '{kind}' is unknown; choose one of {', '.join(fields)}"
-        )
-    check_keys(data, (key, *fields[kind]), place=place)
-    if missing := [name for name in fields[kind] if name not in data and name not in _OPTIONAL]:
+    if not isinstance(kind, str) or kind not in kinds:
+        raise CampaignError(f"{place}: {key} '{kind}' is unknown; choose one of {', '.join(kinds)}")
+    fields, found = kinds[kind], {**_OPTIONAL, **data}
+    for name in data:
+        if name not in (key, *fields):
+            valid = ", ".join((key, *fields))
+            raise CampaignError(f"{place}.{name}: unknown key; valid here: {valid}")
+    if missing := [name for name in fields if found.get(name) in (None, [])]:
         raise CampaignError(f"{place}: {kind} needs {' and '.join(missing)}")
-    return kind
-
-
-def _names(data: Any, *, place: str) -> tuple[str, ...]:
-    names = data if isinstance(data, list) else [data]
-    if not names or not all(isinstance(name, str) for name in names):
-        raise CampaignError(f"{place}: must name other values, not {shown(data)}")
-    return tuple(names)
-
-
-def _tidy(value: Any, *, place: str) -> Any:
-    """Return a value for the scenario; numbers, also nested ones and those in text, must be
-    finite.
-    """
-    if isinstance(value, Mapping):
-        return {name: _tidy(item, place=f"{place}.{name}") for name, item in value.items()}
-    if isinstance(value, list):
-        return [_tidy(item, place=place) for item in value]
-    if value is None or isinstance(value, (bool, int)):
-        return value
-    if isinstance(value, str):
-        try:
-            float(value)
-        except ValueError:
-            return value
-    return number(value, place=place)
+    given = {}
+    for name, type_ in fields.items():
+        value = found[name]
+        if type_ is _Names and not isinstance(value, list):
+            value = [value]
+        alone = type_ is _Numbers and not isinstance(value, list)
+        given[name] = resolve(float if alone else type_, None, value, f"{place}.{name}")
+    return kind, given
 
 
 def get_value(data: Any, key: str) -> Any:

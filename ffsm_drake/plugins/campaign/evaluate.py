@@ -60,7 +60,7 @@ NO_PREDICTION = "no prediction: "  # in the message of a run whose loop cannot b
 
 def texts_of(spec: Spec) -> tuple[str, ...]:
     """Return the columns of a campaign that hold text of a run's limits: those of a capture."""
-    return (FIRST_LIMIT,) if spec.scenario.grasps else ()
+    return (FIRST_LIMIT,) if spec.base_scenario.grasps else ()
 
 
 def engine_columns(spec: Spec) -> tuple[str, ...]:
@@ -189,7 +189,7 @@ def _judged(spec: Spec) -> list[tuple[Metric, ...]]:
     return [
         _OF_CAPTURE if texts_of(spec) else (),
         *(_OF_FRAME[part] for part in _frame_parts(spec)),
-        tuple(_OF_DRIFT[group] for group in spec.scenario.undriven),
+        tuple(_OF_DRIFT[group] for group in spec.base_scenario.undriven),
     ]
 
 
@@ -201,7 +201,7 @@ def metrics_of(spec: Spec) -> tuple[str, ...]:
 
 def parts_of_campaign(spec: Spec) -> tuple[Part, ...]:
     """Return the parts of a campaign's scenario."""
-    return (*section_parts(spec.scenario).values(), *parts_of(spec.scenario).values())
+    return (*section_parts(spec.base_scenario).values(), *parts_of(spec.base_scenario).values())
 
 
 def signals_of(spec: Spec) -> tuple[str, ...] | None:
@@ -213,7 +213,7 @@ def signals_of(spec: Spec) -> tuple[str, ...] | None:
 
 def _frame_parts(spec: Spec) -> tuple[str, ...]:
     """Prescribed parts of a frame's pose: ``rotation``, ``position``, both or none."""
-    frame = spec.scenario.reference.frame
+    frame = spec.base_scenario.reference.frame
     parts = {"pose": tuple(_OF_FRAME), "attitude": ("rotation",), "position": ("position",)}
     return () if frame is None else parts.get(frame.task, ())
 
@@ -223,7 +223,7 @@ def predictions_of(spec: Spec) -> tuple[str, ...]:
     settle.
     """
     load = (LOAD,) if texts_of(spec) else ()
-    return (*PREDICTIONS, *load, *((DIVERGENCE,) if is_rehearsed(spec.scenario) else ()))
+    return (*PREDICTIONS, *load, *((DIVERGENCE,) if is_rehearsed(spec.base_scenario) else ()))
 
 
 # Columns that differ between repetitions.

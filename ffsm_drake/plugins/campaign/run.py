@@ -266,7 +266,7 @@ def _drive(
     report()
     # so small that the workers end at about the same time
     share = (total - before) // (_BATCHES_EACH * workers.in_flight())
-    samples = store.spec.scenario.num_control_periods
+    samples = store.spec.base_scenario.num_control_periods
     usual = usual_batch(find_engine(store.spec.engine), samples=samples)
     sizes = BatchSizes(max(1, min(batch or usual, share)))
     results = run_tasks(

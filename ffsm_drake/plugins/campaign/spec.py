@@ -14,15 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ffsm_drake.common.errors import CampaignError, FfsmError, ScenarioError, one_line
-from ffsm_drake.common.files import check_regular
+from ffsm_drake.common.settings import setting, settings_of, unknown
 from ffsm_drake.plugins.campaign.dispersion import (
     SAMPLINGS,
     Distribution,
     Rule,
-    check_keys,
-    check_plain,
     get_value,
-    number,
     parse_distribution,
     parse_rule,
 )
@@ -31,16 +28,16 @@ from ffsm_drake.scenario import (
     Scenario,
     anchor_paths,
     anchored_policy,
+    kind_of,
     load_scenario,
     relate_paths,
     related_policy,
     scenario_from_dict,
     scenario_to_dict,
     shipped_scenarios,
-    shown,
 )
-from ffsm_drake.scenario.layers import MAX_FILE_SIZE
-from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
+from ffsm_drake.scenario.layers import parsed, read_text
+from ffsm_drake.scenario.resolving import build_settings, resolve
 from ffsm_drake.show.style import label_of
 from ffsm_drake.spacecraft.coordinates import GROUPS
 from ffsm_drake.systems.registry import find_factory, module_folder
@@ -48,28 +45,9 @@ from ffsm_drake.systems.registry import find_factory, module_folder
 if TYPE_CHECKING:
     from ffsm_drake.runs.tracking import Tracked
 
-_KEYS = (
-    "description",
-    "scenario",
-    "overrides",
-    "controllers",
-    "cases",
-    "seed",
-    "sampling",
-    "parameters",
-    "factors",
-    "derive",
-    "labels",
-    "settled",
-    "time_limit",
-    "predictions",
-    "engine",
-)
 # cases, values of a case, points drawn in all
 _MOST_CASES, _MOST_VALUES, _MOST_NUMBERS = 1_000_000, 1000, 20_000_000
-_LARGEST_SEED = 2**53  # beyond, a number read as floating point is another
 _LABEL = 60  # characters
-_TIME_LIMIT = 600.0  # s
 COMPILED = "compiled"
 OLD_ENGINE = "dynamics"  # the name of the key ``engine`` until version 0.3
 _NEW = f"is now 'engine'; write engine: {COMPILED}, or engine: {DRAKE}"
@@ -84,9 +62,11 @@ _RESERVED = {
 class Settled:
     """Settling: each tracked error stays within its group's tolerance over the last ``hold`` s."""
 
-    hold: float  # s; 0: the last sample alone
-    tolerance: Mapping[str, float]  # rad or m, by group
-    rest: float | None = None  # rad/s and m/s; no coordinate moves faster either; None: it may
+    hold: float = setting(2.0, "s", "duration at the end; 0: the last sample alone", least=0)
+    tolerance: dict[str, float] = setting({}, "rad or m", "largest error, by group", above=0)
+    rest: float | None = setting(
+        None, "rad/s or m/s", "largest rate of any coordinate; null: no limit", above=0
+    )
 
     def time(self, time: np.ndarray, tracked: "Tracked", *, velocity: np.ndarray) -> float | None:
         """First time (s) from which error and velocity stay within these bounds; None: not
@@ -109,49 +89,70 @@ class Settled:
         # Half a nanosecond: samples are multiples of the period only to rounding.
         return since if since <= max(float(time[-1]) - self.hold, 0.0) + 5e-10 else None
 
+    def completed(self, scenario: Scenario) -> "Settled":
+        """Return it with the scenario's tolerance of each group that it leaves out.
+
+        Raises ScenarioError for a name that is no group.
+        """
+        for group in self.tolerance:
+            if group not in GROUPS:
+                raise ScenarioError(f"settled.tolerance.{group}", unknown(group, GROUPS))
+        tolerance = {
+            group: self.tolerance.get(group, scenario.tolerance_of(group)) for group in GROUPS
+        }
+        return dataclasses.replace(self, tolerance=tolerance)
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Spec:
     """A campaign's specification; the cases and their results depend on nothing else."""
 
-    # as written, with the resolved scenario under ``base``; ``spec_from_data`` reads it back
-    data: Mapping[str, Any]
-    controllers: tuple[str, ...]
-    cases: int
-    seed: int
-    sampling: str
-    parameters: Mapping[str, Distribution]  # by dotted scenario key
-    factors: Mapping[str, Distribution]  # by free name, for ``derive``
-    derive: Mapping[str, Rule]  # by dotted scenario key, in the order of evaluation
-    settled: Settled
-    time_limit: float  # s of wall time; a run that takes longer becomes an error row
-    predictions: bool = True  # whether stability is predicted beside each run
-    engine: str = DRAKE  # see ``find_engine``; Drake computes what another one does not cover
-
-    @property
-    def base(self) -> dict[str, Any]:
-        """The scenario without any case's values, as plain data; not to be changed."""
-        base: dict[str, Any] = self.data["base"]
-        return base
+    description: str = setting("")
+    scenario: str = setting("postcapture", "", "scenario's shipped name or file")
+    overrides: dict[str, Any] = setting({})
+    # the resolved scenario without any case's values, as plain data; not to be changed
+    base: dict[str, Any] = setting({})
+    controllers: list[str] = setting([])
+    cases: int = setting(1, least=1, most=_MOST_CASES)
+    # beyond, a number read as floating point is another
+    seed: int = setting(0, least=0, most=2**53)
+    sampling: str = setting(SAMPLINGS[0], one_of=SAMPLINGS)
+    parameters: dict[str, Any] = setting({}, "", "distributions by dotted scenario key")
+    factors: dict[str, Any] = setting({}, "", "distributions by free name, for ``derive``")
+    derive: dict[str, Any] = setting({}, "", "rules by dotted key, in the order of evaluation")
+    labels: dict[str, str] = setting({}, "", "names of controllers in tables")
+    settled: Settled = setting(Settled())
+    time_limit: float = setting(
+        600.0, "s", "wall time of a run; beyond, it is an error row", above=0, most=1e6
+    )
+    predictions: bool = setting(True, "", "whether stability is predicted beside each run")
+    engine: str = setting(DRAKE, "", "see ``find_engine``; Drake computes what it does not cover")
+    data: Mapping[str, Any] = dataclasses.field(default_factory=dict)  # as ``spec_from_data`` read
 
     @functools.cached_property
-    def scenario(self) -> Scenario:
+    def base_scenario(self) -> Scenario:
         """The scenario without any case's values."""
         return scenario_from_dict(self.base)
 
-    @property
-    def description(self) -> str:
-        return str(self.data.get("description", ""))
-
     def label(self, controller: str) -> str:
         """Return the name of a controller in tables and figures."""
-        labels: Mapping[str, str] = self.data.get("labels", {})
-        return labels.get(controller) or label_of(controller)
+        return self.labels.get(controller) or label_of(controller)
 
-    @property
+    @functools.cached_property
     def distributions(self) -> dict[str, Distribution]:
         """Parameters and factors in their order."""
-        return {**self.parameters, **self.factors}
+        return {
+            name: parse_distribution(entry, place=f"{section}.{name}")
+            for section in ("parameters", "factors")
+            for name, entry in getattr(self, section).items()
+        }
+
+    @functools.cached_property
+    def rules(self) -> dict[str, Rule]:
+        """The rules of ``derive``."""
+        return {
+            name: parse_rule(entry, place=f"derive.{name}") for name, entry in self.derive.items()
+        }
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -187,7 +188,7 @@ class Spec:
             relate_paths(data["base"], folder)
             if "controllers" in data:
                 data["controllers"] = [
-                    related_policy(name, folder) for name in _controllers(data["controllers"])
+                    related_policy(name, folder) for name in _listed(data["controllers"])
                 ]
         return json.dumps(data, sort_keys=False)
 
@@ -235,44 +236,33 @@ def load_spec(name_or_path: str | Path) -> Spec:
             f"{path}: no such campaign; choose one of {', '.join(shipped)}, or give a YAML file"
         )
     try:
-        check_regular(path, limit=MAX_FILE_SIZE)
-        data = read_yaml(path.read_text(encoding="utf-8"))
-    except StrictYamlError as error:
-        raise CampaignError(f"{path}: is not valid YAML: {one_line(error)}") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise CampaignError(f"{path}: cannot be read: {one_line(error)}") from error
+        data = parsed(read_text(path), str(path))
+    except ScenarioError as error:
+        raise CampaignError(str(error)) from error
     if not isinstance(data, Mapping):
-        raise CampaignError(f"{path}: must be a mapping with keys {', '.join(_KEYS)}")
+        names = ", ".join(name for name in settings_of(Spec) if name != "base")
+        raise CampaignError(f"{path}: must be a mapping with keys {names}")
     try:
-        check_plain(data, place="specification")
         if OLD_ENGINE in data:
             raise CampaignError(f"{OLD_ENGINE}: {_NEW}")
-        check_keys(data, _KEYS, place="specification")
         engine = DRAKE if why_not_compiled() else COMPILED
         whole = {"engine": engine, **data, "base": _base(data, folder=path.parent)}
-        _anchor_policies(whole, path.parent)
-        spec = spec_from_data(whole)
-        return _with_python_path(spec)
-    except ScenarioError as error:
-        raise CampaignError(f"{path}: {error}") from error
-    except CampaignError as error:
-        raise CampaignError(f"{path}: {one_line(error).removeprefix('specification.')}") from error
+        return _with_python_path(spec_from_data(_anchored(whole, path.parent)))
+    except (CampaignError, ScenarioError) as error:
+        raise CampaignError(f"{path}: {one_line(error)}") from error
 
 
 def _with_python_path(spec: Spec) -> Spec:
     """Add the folders of all user-supplied modules, so that any folder can resume the campaign."""
-    base = spec.base
-    blocks = [(name, base["blocks"][name]) for name in ("reference", "actuation")]
-    blocks += [
-        (kind, block) for kind in ("sensing", "forces") for block in base["blocks"][kind].values()
-    ]
+    given = spec.base["python_path"]
+    blocks = spec.base_scenario.blocks.choices()
     named = [("controller", name) for name in spec.controllers]
-    named += [(kind, block["system"]) for kind, block in blocks if block is not None]
+    named += [(kind_of(name), block.system) for name, block in blocks.items()]
     for kind, system in named:
-        find_factory(kind, system, python_path=base["python_path"])
+        find_factory(kind, system, python_path=given)
     folders = [str(folder) for _, system in named if (folder := module_folder(system)) is not None]
-    path = list(dict.fromkeys([*base["python_path"], *folders]))
-    return spec_from_data({**spec.data, "base": {**base, "python_path": path}})
+    path = list(dict.fromkeys([*given, *folders]))
+    return spec_from_data({**spec.data, "base": {**spec.base, "python_path": path}})
 
 
 def spec_from_json(text: str, folder: Path | None = None) -> Spec:
@@ -285,73 +275,57 @@ def spec_from_json(text: str, folder: Path | None = None) -> Spec:
         raise CampaignError(f"not a campaign's specification: {one_line(error)}") from error
     if folder is not None:
         anchor_paths(data["base"], folder)
-        _anchor_policies(data, folder)
+        data = _anchored(data, folder)
     return spec_from_data(data)
 
 
-def _anchor_policies(data: dict[str, Any], folder: Path) -> None:
-    """Make the files of a specification's policies absolute, where they are in a folder."""
-    if "controllers" in data:
-        names = _controllers(data["controllers"])
-        data["controllers"] = [anchored_policy(name, folder) for name in names]
+def _anchored(data: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Return a specification with absolute files of its policies, where they are in a folder."""
+    if "controllers" not in data:
+        return dict(data)
+    names = resolve(list[str], None, _listed(data["controllers"]), "controllers")
+    return {**data, "controllers": [anchored_policy(name, folder) for name in names]}
 
 
 def spec_from_data(data: Mapping[str, Any]) -> Spec:
-    """Return the specification of plain data whose ``base`` holds the resolved scenario."""
-    seed = _whole(data.get("seed", 0), place="seed", least=0, most=_LARGEST_SEED)
-    time_limit = number(data.get("time_limit", _TIME_LIMIT), place="time_limit")
-    if not 0.0 < time_limit <= 1e6:
-        raise CampaignError(f"time_limit: must be > 0 s and at most 1e6 s, not {time_limit:g}")
-    predictions = data.get("predictions", True)
-    if not isinstance(predictions, bool):
-        raise CampaignError(f"predictions: must be true or false, not {predictions!r}")
-    engine = data.get("engine", data.get(OLD_ENGINE, DRAKE))
-    if not isinstance(engine, str):
-        raise CampaignError(f"engine: must be a name, such as {DRAKE}, not {shown(engine)}")
-    sampling = data.get("sampling", SAMPLINGS[0])
-    if sampling not in SAMPLINGS:
-        raise CampaignError(
-            f"sampling: '{sampling}' is unknown; choose one of {', '.join(SAMPLINGS)}"
-        )
-    parameters, factors = (
-        {
-            str(name): parse_distribution(entry, place=f"{section}.{name}")
-            for name, entry in _section(data, section).items()
-        }
-        for section in ("parameters", "factors")
-    )
-    if not parameters and not factors:
+    """Return the specification of plain data whose ``base`` holds the resolved scenario.
+
+    Raises:
+      CampaignError, ScenarioError: a key or a value cannot be used.
+    """
+    given = {name: value for name, value in data.items() if value is not None}
+    given.setdefault("engine", given.pop(OLD_ENGINE, DRAKE))
+    given["controllers"] = _listed(given.get("controllers", data["base"]["controller"]))
+    spec: Spec = build_settings(Spec, given, "")
+    if not spec.distributions:
         raise CampaignError("parameters: must disperse at least one scenario value")
-    derive = {
-        str(name): parse_rule(entry, place=f"derive.{name}")
-        for name, entry in _section(data, "derive").items()
-    }
-    if sampling == "grid":
-        data = {"cases": _grid_size({**parameters, **factors}), **data}
+    if spec.sampling == "grid":
+        for name, distribution in spec.distributions.items():
+            if not distribution.levels:
+                raise CampaignError(f"{name}: must be a list, because sampling is grid")
+        data = {
+            "cases": math.prod(len(each.levels) for each in spec.distributions.values()),
+            **data,
+        }
     if "cases" not in data:
         raise CampaignError("cases: is missing; give the number of cases")
-    cases = _whole(data["cases"], place="cases", least=1, most=_MOST_CASES)
-    spec = Spec(
-        data=data,
-        controllers=_controllers(data.get("controllers", [data["base"]["controller"]])),
-        cases=cases,
-        seed=seed,
-        sampling=sampling,
-        parameters=parameters,
-        factors=factors,
-        derive=derive,
-        settled=parse_settled(
-            data.get("settled", {}), Scenario(tolerance=data["base"]["tolerance"])
-        ),
-        time_limit=time_limit,
-        predictions=predictions,
-        engine=engine,
-    )
+    settled = spec.settled.completed(Scenario(tolerance=spec.base["tolerance"]))
+    spec = dataclasses.replace(spec, data=data, cases=int(data["cases"]), settled=settled)
     _check_names(spec)
-    labels = data.get("labels", {})
-    if not isinstance(labels, Mapping) or not all(
-        name in spec.controllers and isinstance(label, str) and 0 < len(label) <= _LABEL
-        for name, label in labels.items()
+    _check_controllers(spec)
+    return spec
+
+
+def _listed(value: Any) -> Any:
+    """Return a list unchanged, and anything else in a list."""
+    return value if isinstance(value, list) else [value]
+
+
+def _check_controllers(spec: Spec) -> None:
+    if not spec.controllers or len(set(spec.controllers)) < len(spec.controllers):
+        raise CampaignError("controllers: must name at least one, each once")
+    if not all(
+        name in spec.controllers and 0 < len(label) <= _LABEL for name, label in spec.labels.items()
     ):
         raise CampaignError(
             f"labels: must give controllers of this campaign a text of at most {_LABEL} characters"
@@ -361,50 +335,12 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
             f"labels: controllers share a name in tables: {', '.join(sorted(shown_as))}; give each "
             "its own, as labels: {'module:Class': name}"
         )
-    return spec
-
-
-def parse_settled(data: Any, scenario: Scenario) -> Settled:
-    """Return the criterion under ``settled``; groups that it leaves out have the scenario's
-    tolerance.
-
-    Raises CampaignError for an unknown key or a value out of range.
-    """
-    if not isinstance(data, Mapping):
-        raise CampaignError("settled: must be a mapping with hold, tolerance and rest")
-    check_keys(data, ("hold", "tolerance", "rest"), place="settled")
-    hold = number(data.get("hold", 2.0), place="settled.hold")
-    if hold < 0.0:
-        raise CampaignError(f"settled.hold: must be >= 0 s, not {hold:g}")
-    given = data.get("tolerance", {})
-    if not isinstance(given, Mapping):
-        raise CampaignError(f"settled.tolerance: must be a mapping by group: {', '.join(GROUPS)}")
-    check_keys(given, GROUPS, place="settled.tolerance")
-    tolerance = {
-        group: _positive(
-            given.get(group, scenario.tolerance_of(group)), place=f"settled.tolerance.{group}"
-        )
-        for group in GROUPS
-    }
-    rest = data.get("rest")
-    if rest is not None:
-        rest = _positive(rest, place="settled.rest")
-    return Settled(hold=hold, tolerance=tolerance, rest=rest)
-
-
-def _positive(data: Any, *, place: str) -> float:
-    value = number(data, place=place)
-    if value <= 0.0:
-        raise CampaignError(f"{place}: must be > 0, not {value:g}")
-    return value
 
 
 def _base(data: Mapping[str, Any], *, folder: Path) -> dict[str, Any]:
     """Return the resolved scenario as plain data, fixed overrides included."""
-    name = data.get("scenario", "postcapture")
-    if not isinstance(name, str):
-        raise CampaignError(f"scenario: must be a shipped name or a file, not {shown(name)}")
-    overrides = _section(data, "overrides")
+    name = resolve(str, None, data.get("scenario") or "postcapture", "scenario")
+    overrides = resolve(dict[str, Any], None, data.get("overrides") or {}, "overrides")
     for key in overrides:
         _check_not_reserved(key, place="overrides")
     place = name if name in shipped_scenarios() else folder / name
@@ -412,46 +348,11 @@ def _base(data: Mapping[str, Any], *, folder: Path) -> dict[str, Any]:
     return scenario_to_dict(load_scenario(place, texts))
 
 
-def _section(data: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    section = data.get(name)
-    if section is None:
-        return {}
-    if not isinstance(section, Mapping):
-        raise CampaignError(f"{name}: must be a mapping, not {shown(section)}")
-    return section
-
-
-def _whole(data: Any, *, place: str, least: int, most: int) -> int:
-    value = number(data, place=place)
-    if not value.is_integer() or value < least:
-        raise CampaignError(f"{place}: must be a whole number of at least {least}, not {data}")
-    if value > most:
-        raise CampaignError(f"{place}: must be at most {most}, not {data}")
-    return int(value)
-
-
-def _grid_size(distributions: Mapping[str, Distribution]) -> int:
-    """Return the number of combinations of the values of lists."""
-    for name, distribution in distributions.items():
-        if not distribution.levels:
-            raise CampaignError(f"{name}: must be a list, because sampling is grid")
-    return math.prod(len(distribution.levels) for distribution in distributions.values())
-
-
-def _controllers(data: Any) -> tuple[str, ...]:
-    names = data if isinstance(data, list) else [data]
-    for name in names:
-        if not isinstance(name, str):
-            raise CampaignError(
-                f"controllers: must be names, or module:attribute, not {shown(name)}"
-            )
-    if not names or len(set(names)) < len(names):
-        raise CampaignError("controllers: must name at least one, each once")
-    return tuple(names)
-
-
 def _check_names(spec: Spec) -> None:
     """Raise CampaignError unless each value is set once, and known before a rule reads it."""
+    for name in spec.names:
+        if not name.isprintable() or not name:
+            raise CampaignError(f"parameters: the name {name!r} must be printable text")
     if len(spec.names) > _MOST_VALUES:
         raise CampaignError(
             f"parameters: at most {_MOST_VALUES} values with factors and derived ones, not "
@@ -480,10 +381,10 @@ def _check_names(spec: Spec) -> None:
             raise CampaignError(
                 f"factors.{factor}: must be a free name, not a scenario key; see 'parameters'"
             )
-        if not any(factor in rule.sources for rule in spec.derive.values()):
+        if not any(factor in rule.sources for rule in spec.rules.values()):
             raise CampaignError(f"factors.{factor}: no rule of 'derive' uses it")
     known = {*spec.parameters, *spec.factors}
-    for name, rule in spec.derive.items():
+    for name, rule in spec.rules.items():
         for source in rule.sources:
             if source in known:
                 continue

@@ -145,7 +145,7 @@ def test_a_worker_without_the_engine_reports_it_in_each_row(tmp_path):
     ("key", "given", "said"),
     [
         ("engine", "nonsense", "'nonsense' is unknown; choose one of drake, compiled"),
-        ("engine", 3, "must be a name"),
+        ("engine", 3, "engine: must be text, not 3"),
         ("dynamics", "generated", "dynamics: is now 'engine'; write engine: compiled, or"),
     ],
 )

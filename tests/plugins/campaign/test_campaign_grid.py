@@ -55,7 +55,7 @@ def points(database):
 def test_a_grid_has_every_combination_once_the_last_value_fastest():
     spec = load_spec("noise")
     cases = list(make_cases(spec))
-    sigmas = list(spec.parameters["sensing.velocity_noise"].levels.values())
+    sigmas = list(spec.distributions["sensing.velocity_noise"].levels.values())
     assert len(cases) == spec.cases == 2 * 2 * 9
     found = [(case.values["estimator.kind"], case.values["sensing.velocity_noise"])
              for case in cases]  # fmt: skip
