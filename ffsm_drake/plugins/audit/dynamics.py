@@ -27,14 +27,11 @@ class Bodies:
     turn: Array  # (n, bodies, 3, 3) from a body's own axes
 
     def shifted(self, body: int, by: Array) -> "Bodies":
-        """One body with its centre of mass moved by a vector (3) in its own axes, m."""
-        one = {
-            field.name: np.take(getattr(self, field.name), [body], axis=-1 if k == 0 else 1)
-            for k, field in enumerate(dataclasses.fields(self))
-        }
-        arm, found = one["turn"] @ by, Bodies(**one)
+        """The bodies with one centre of mass moved by a vector (3) in its own axes, m."""
+        arm = np.zeros_like(self.center)
+        arm[:, body] = self.turn[:, body] @ by
         return dataclasses.replace(
-            found, center=found.center + arm, velocity=found.velocity + np.cross(found.spin, arm)
+            self, center=self.center + arm, velocity=self.velocity + np.cross(self.spin, arm)
         )
 
     def momenta(self, log: Log) -> tuple[Array, Array]:

@@ -49,6 +49,7 @@ class Mistake:
         Sequence[float] | float
     ) = -math.inf  # smallest physically possible size, or one for each
     more: int = 0  # number of further sizes that are not fitted here
+    bent: Array | float = 0.0  # part of the residual that the columns of fitted sizes leave
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,7 +135,8 @@ def estimate(missed: Array, mistake: Mistake, lag: Array) -> Estimate:
     count = len(mistake.columns)
     table = np.stack([*mistake.columns, lag], axis=2)
     table = table - table.mean(axis=0)
-    flat = missed - missed.mean(axis=0)
+    flat = missed - mistake.bent
+    flat = flat - flat.mean(axis=0)
     norms = np.sqrt((table**2).sum(axis=(0, 1)))
     norms = np.where(norms > 0.0, norms, np.inf)
     table = table / norms

@@ -4,11 +4,12 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 from pydrake.multibody.tree import RevoluteJoint
 from scipy.interpolate import CubicSpline
-from scipy.optimize import least_squares, minimize_scalar
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.so3 import in_body_axes
@@ -17,13 +18,10 @@ from ffsm_drake.plugins.audit.dynamics import Bodies, Dynamics
 from ffsm_drake.plugins.audit.log import Array, Log, attitudes, every, only
 from ffsm_drake.plugins.audit.misfit import (
     DOUBTS,
-    STILL,
     SURE,
     Estimate,
     Mistake,
-    about,
     areas,
-    estimate,
     greatest,
     means,
     named,
@@ -36,8 +34,8 @@ from ffsm_drake.plugins.audit.motions import turned
 _GROUPS = 60  # places of the log at which momentum is compared, of four samples each
 _DRIFTED = 0.2  # largest share of the residual that an integrator's drift may leave
 _DEGREE = np.pi / 180.0
-_ROUNDS = 4  # of the fit of a centre of mass
-_FARTHEST, _GRID = 2.0, 721  # largest offset of a sliding joint, m; offsets that are tried
+_FARTHEST = 2.0  # largest offset of a sliding joint, m
+_STARTS, _TRIED = 8, 3  # offsets at which a search may begin; starts of which a search begins
 
 
 def _integral(time: Array, rate: Array) -> Array:
@@ -103,15 +101,23 @@ class Momentum:
 
     @functools.cached_property
     def impulse(self) -> Array:
-        """Impulse of the logged forces (n, 6), in the convention that conserves momentum best."""
+        """Impulse of the logged forces (n, 6), in the convention that conserves momentum best,
+        divided by ``scale``.
+        """
         total = self.total(self.some, bodies=self.bodies)
-        each = [impulse[self.kept] for impulse in _impulses(self.log)]
-        return min(each, key=lambda impulse: swing(total - impulse / self.scale))
+        each = [impulse[self.kept] / self.scale for impulse in _impulses(self.log)]
+        return min(each, key=lambda impulse: swing(total - impulse))
 
     @functools.cached_property
     def missed(self) -> Array:
-        """Total momentum (n, 6) minus the impulse of the logged forces, divided by ``scale``."""
-        return self.total(self.some, bodies=self.bodies) - self.impulse / self.scale
+        """The residual (n, 6) of the log."""
+        return self.residual(self.some, bodies=self.bodies)
+
+    def residual(self, log: Log, *, bodies: Bodies | None = None) -> Array:
+        """Total momentum (n, 6) of samples minus the impulse of the logged forces, divided by
+        ``scale``.
+        """
+        return self.total(log, bodies=bodies) - self.impulse
 
     def total(self, log: Log, *, bodies: Bodies | None = None) -> Array:
         """Total momentum (n, 6) of samples, divided by ``scale``."""
@@ -209,10 +215,33 @@ def _mistakes(found: Momentum) -> Iterator[Mistake]:
         yield _instead(found, cause, words, changed)
 
 
-def _instead(found: Momentum, cause: str, words: str, log: Log, *, more: int = 0) -> Mistake:
+def _instead(found: Momentum, cause: str, words: str, log: Log) -> Mistake:
     """Mistake that replaces the logged samples with ``log``. Its size is near 1 if it applies."""
-    change = found.missed + found.impulse / found.scale - found.total(log)
-    return Mistake(cause=cause, text=words, columns=[change], more=more, least=0.9, most=1.1)
+    change = found.missed - found.residual(log)
+    return Mistake(cause=cause, text=words, columns=[change], least=0.9, most=1.1)
+
+
+def _fitted(
+    found: Momentum, missed: Callable[[Array], Array], starts: Array, **mistake: Any
+) -> Mistake:
+    """Mistake with a nonlinear effect, linearised at the sizes that fit best.
+
+    Args:
+      missed: the residual (n, 6) without a mistake of given sizes (k).
+      starts: sizes (m, k) at which a search may begin.
+    """
+
+    def flat(sizes: Array) -> Array:
+        left = missed(sizes)
+        return np.asarray((left - left.mean(axis=0)).ravel())
+
+    most = np.array([np.abs(flat(sizes)).max() for sizes in starts])
+    near = [i for i in np.argsort(most)[:_TRIED] if most[i] < 2.0 * most.min()]
+    fits = [least_squares(flat, starts[i], x_scale="jac", max_nfev=40) for i in near or [0]]
+    best = min(fits, key=lambda fit: float(fit.cost))
+    columns = [*-best.jac.T.reshape(-1, *found.missed.shape)]
+    linear = sum(size * column for size, column in zip(best.x, columns, strict=True))
+    return Mistake(columns=columns, bent=found.missed - missed(best.x) - linear, **mistake)
 
 
 def _of_masses(found: Momentum) -> Iterator[Mistake]:
@@ -227,83 +256,32 @@ def _of_masses(found: Momentum) -> Iterator[Mistake]:
 
 
 def _of_centers(found: Momentum) -> Iterator[Mistake]:
-    """One body with another centre of mass.
-
-    Momentum is a quadratic polynomial in the offset. The slope halfway to an offset, times the
-    offset, is therefore the exact change.
-    """
+    """One body with another centre of mass."""
     bodies = found.dynamics.bodies
     for i, body in enumerate(bodies if len(bodies) > 1 else ()):
 
-        def total(by: Array, i: int = i) -> Array:
-            momenta = found.bodies.shifted(i, by).momenta(found.some)
-            whole: Array = np.sum(momenta, axis=(0, 2)) / found.scale
-            return whole
+        def missed(by: Array, i: int = i) -> Array:
+            return found.residual(found.some, bodies=found.bodies.shifted(i, by))
 
         words = f"{body.name()}'s centre of mass differs by {{0}} from the URDF, in its own axes"
-        offset = np.zeros(3)
-        for _ in range(_ROUNDS):
-            sides = [(total(0.5 * offset + x), total(0.5 * offset - x)) for x in np.eye(3)]
-            columns = [0.5 * (less - more) for more, less in sides]
-            mistake = Mistake(cause="center_of_mass", text=words, columns=columns, unit="m")
-            offset = estimate(found.missed, mistake, found.still).sizes
-        yield mistake
+        yield _fitted(found, missed, np.zeros((1, 3)), cause="center_of_mass", text=words, unit="m")
 
 
 def _of_zeros(found: Momentum) -> Iterator[Mistake]:
     """A joint's position with a constant offset."""
-    log = found.some
+    log, plant = found.some, found.dynamics.plant
     for name, axis in zip(found.dynamics.names, np.eye(len(log.angles.T)), strict=True):
 
-        def missed(offset: float, axis: Array = axis) -> Array:
-            if offset == 0.0:
-                return found.missed
-            total = found.total(log.replace(angles=log.angles - offset * axis))
-            return total - found.impulse / found.scale
+        def missed(offset: Array, axis: Array = axis) -> Array:
+            return found.residual(log.replace(angles=log.angles - offset * axis))
 
-        turns = found.dynamics.plant.GetJointByName(name).type_name() == RevoluteJoint.kTypeName
-        offset = _least(missed, turns=turns)
-        if abs(offset) > STILL:
-            sides = np.sort([0.9 * offset, 1.1 * offset])
-            yield Mistake(
-                cause="zero_shift", text=f"{name}'s position has a constant offset of {{0}}",
-                unit="rad" if turns else "m", columns=[(found.missed - missed(offset)) / offset],
-                least=float(sides[0]), most=float(sides[1]),
-            )  # fmt: skip
-
-
-def _least(missed: Callable[[float], Array], *, turns: bool) -> float:
-    """The offset of a joint's position, rad or m, with the least residual.
-
-    The residual is a quadratic polynomial in the offset, or in its sine and cosine if the joint
-    turns. Five offsets therefore determine it.
-    """
-    most = np.pi if turns else _FARTHEST
-
-    def terms(offset: Array) -> Array:
-        x = offset[..., None] * np.arange(3)
-        waves = [np.cos(x), np.sin(x[..., 1:])] if turns else [x[..., 1:2] ** np.arange(3)]
-        return np.concatenate(waves, axis=-1)
-
-    tried, own = most * np.linspace(-0.8, 0.8, 5), missed(0.0)
-    changes = np.stack([missed(offset) - own for offset in tried])
-    changes -= changes.mean(axis=1, keepdims=True)
-    shapes = np.linalg.pinv(terms(tried)) @ changes.reshape(5, -1)
-    square, along = shapes @ shapes.T, shapes @ (own - own.mean(axis=0)).ravel()
-
-    def left(offset: Array) -> Array:
-        """Square of the residual, minus that without an offset."""
-        x = terms(np.asarray(offset))
-        found: Array = np.einsum("...i,ij,...j", x, square, x) + 2.0 * x @ along
-        return found
-
-    grid = np.linspace(-most, most, _GRID)
-    near, step = grid[np.argmin(left(grid))], grid[1] - grid[0]
-    fit = minimize_scalar(
-        lambda offset: float(left(np.asarray(offset))), method="bounded",
-        bounds=(float(near - step), float(near + step)), options={"xatol": 1e-9},
-    )  # fmt: skip
-    return float(fit.x)
+        turns = plant.GetJointByName(name).type_name() == RevoluteJoint.kTypeName
+        most = np.pi if turns else _FARTHEST
+        yield _fitted(
+            found, missed, most * np.linspace(-1.0, 1.0, _STARTS, endpoint=False)[:, None],
+            cause="zero_shift", text=f"{name}'s position has a constant offset of {{0}}",
+            unit="rad" if turns else "m",
+        )  # fmt: skip
 
 
 def _of_forces(found: Momentum) -> Iterator[Mistake]:
@@ -367,24 +345,19 @@ def _of_frames(found: Momentum) -> Iterator[Mistake]:
         )
 
     cube = Rotation.create_group("O").as_rotvec()
-    for cause, changed, starts, unit, words in (
-        ("frame", base, cube, _DEGREE, "the base's axes are turned from the URDF's by {} deg "
-         "(rotation vector): another body frame, or a star tracker's"),
-        ("frame", world, cube, _DEGREE, "the world axes of the attitude are turned from the axes "
-         "of the positions by {} deg (rotation vector)"),
-        ("frame_rate", turning, np.zeros((1, 3)), 1.0, "the log is in a frame that turns at a "
-         "constant rate of {} rad/s (its own axes)"),
+    for cause, changed, starts, factor, unit, words in (
+        ("frame", base, cube, 1.0 / _DEGREE, "deg", "the base's axes are turned from the URDF's by "
+         "{0} (rotation vector): another body frame, or a star tracker's"),
+        ("frame", world, cube, 1.0 / _DEGREE, "deg", "the world axes of the attitude are turned "
+         "from the axes of the positions by {0} (rotation vector)"),
+        ("frame_rate", turning, np.zeros((1, 3)), 1.0, "rad/s", "the log is in a frame that turns "
+         "at a constant rate of {0} (its own axes)"),
     ):  # fmt: skip
 
-        def misses(vector: Array, changed: Callable[[Array], Log] = changed) -> Array:
-            total = found.total(changed(vector), bodies=found.bodies) - found.impulse / found.scale
-            return np.asarray((total - total.mean(axis=0)).ravel())
+        def missed(vector: Array, changed: Callable[[Array], Log] = changed) -> Array:
+            return found.residual(changed(vector), bodies=found.bodies)
 
-        near = sorted(starts, key=lambda start: np.abs(misses(start)).max())[:3]
-        fits = [least_squares(misses, np.array(x), x_scale="jac", max_nfev=40) for x in near]
-        best = min(fits, key=lambda fit: fit.cost).x
-        said = words.format(about(best / unit, None, "").strip())
-        yield _instead(found, cause, said, changed(best), more=2)
+        yield _fitted(found, missed, starts, cause=cause, text=words, unit=unit, factor=factor)
 
 
 def _of_columns(found: Momentum) -> Iterator[tuple[str, str, Log]]:
