@@ -5,11 +5,13 @@ geometry_msgs/WrenchStamped (https://docs.ros.org/en/rolling/p/common_interfaces
 foxglove.FrameTransforms and foxglove.JointStates (https://docs.foxglove.dev/docs/sdk/schemas).
 """
 
+import dataclasses
 import importlib
 import json
 import math
+import operator
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -34,7 +36,7 @@ class _Key(NamedTuple):
 
 
 _Series = dict[_Key, pd.DataFrame]  # values (n, k) by their times, ns
-_Found = Iterator[tuple[_Key, Any, list[float]]]  # with a time stamp
+_Rows = Iterable[tuple[_Key, Any, list[float]]]  # with a time stamp
 _COLUMNS = {
     "pose": [f"base_{x}" for x in ("position_x", "position_y", "position_z", "quaternion_w",
              "quaternion_x", "quaternion_y", "quaternion_z")],
@@ -99,35 +101,30 @@ def _read(path: Path) -> tuple[_Series, bool]:
         make_reader = importlib.import_module("mcap.reader").make_reader
     except ImportError as error:
         raise FfsmError("an .mcap needs mcap: pip install 'ffsm-drake[mcap]'") from error
-    stamps: dict[_Key, list[tuple[int, int]]] = {}  # the header's, the log's
-    rows: dict[_Key, list[list[float]]] = {}
+    rows: dict[_Key, list[tuple[float, ...]]] = {}  # stamp of the header, of the log, values
     decoders: dict[int, Callable[[bytes], Any]] = {}
     try:
         with path.open("rb") as stream:
             _check_unpacked(stream)
             stream.seek(0)
             for schema, channel, message in make_reader(stream).iter_messages():
-                name = schema.name if schema else ""
+                found: _Rows = ()
                 if channel.message_encoding == "json":
-                    for key, value in _of_json(channel.topic, message.data):
-                        both = message.log_time, message.log_time
-                        stamps.setdefault(key, []).append(both)
-                        rows.setdefault(key, []).append([value])
-                elif name in _MESSAGES:
+                    found = _of_json(channel.topic, message)
+                elif schema and schema.name in _MESSAGES:
                     if channel.id not in decoders:
                         decoders[channel.id] = _decoder(channel.message_encoding, schema)
-                    for key, stamp, row in _MESSAGES[name](decoders[channel.id](message.data)):
-                        both = _nanoseconds(stamp), message.log_time
-                        stamps.setdefault(key, []).append(both)
-                        rows.setdefault(key, []).append(row)
+                    found = _MESSAGES[schema.name](decoders[channel.id](message.data))
+                for key, stamp, row in found:
+                    rows.setdefault(key, []).append((_nanoseconds(stamp), message.log_time, *row))
     except (OSError, FfsmError):
         raise
     except Exception as error:  # decompressors and decoders raise exceptions of many kinds
         raise ValueError(one_line(error)) from error
-    times = {key: np.array(pairs) for key, pairs in stamps.items()}
-    stopped = [not np.ptp(pair[:, 0]) and np.ptp(pair[:, 1]) > 0 for pair in times.values()]
+    tables = {key: pd.DataFrame(each) for key, each in rows.items()}
+    stopped = [np.ptp(each[0]) == 0 and np.ptp(each[1]) > 0 for each in tables.values()]
     own = int(any(stopped))
-    return {key: pd.DataFrame(rows[key], index=times[key][:, own]) for key in rows}, bool(own)
+    return {key: each.set_index(own).iloc[:, 1:] for key, each in tables.items()}, bool(own)
 
 
 def _check_unpacked(stream: BinaryIO) -> None:
@@ -165,60 +162,51 @@ def _decoder(encoding: str, schema: Any) -> Callable[[bytes], Any]:
     return decode
 
 
-def _of_json(topic: str, data: bytes) -> Iterator[tuple[_Key, float]]:
-    message = json.loads(data)
-    for name, value in message.items() if isinstance(message, dict) else ():
+def _of_json(topic: str, message: Any) -> _Rows:
+    fields = json.loads(message.data)
+    for name, value in fields.items() if isinstance(fields, dict) else ():
         if isinstance(value, int | float):
-            yield _Key("json", f"{topic.lstrip('/')}.{name}"), float(value)
+            yield _Key("json", f"{topic.lstrip('/')}.{name}"), message.log_time, [float(value)]
 
 
 def _nanoseconds(stamp: Any) -> int:
-    """A time stamp of ROS 2 or of protocol buffers."""
+    """A time in ns, or a time stamp of ROS 2 or of protocol buffers."""
+    if isinstance(stamp, int):
+        return stamp
     if hasattr(stamp, "nanosec"):
         return int(stamp.sec) * 10**9 + int(stamp.nanosec)
     return int(stamp.seconds) * 10**9 + int(stamp.nanos)
 
 
-def _vector(vector: Any) -> list[float]:
-    return [vector.x, vector.y, vector.z]
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Vectors:
+    """Reader of messages with vectors and quaternions; texts are names of attributes."""
+
+    kind: str
+    name: str = "child_frame_id"
+    parent: str = "header.frame_id"
+    stamp: str = "header.stamp"
+    values: Sequence[str]
+    each: str = ""  # list of the parts of a message; empty: it is one part
+
+    def __call__(self, message: Any) -> _Rows:
+        for part in getattr(message, self.each) if self.each else [message]:
+            name, parent, stamp, *vectors = (
+                operator.attrgetter(path)(part)
+                for path in (self.name, self.parent, self.stamp, *self.values)
+            )
+            row = [getattr(v, x) for v in vectors for x in "wxyz" if hasattr(v, x)]
+            yield _Key(self.kind, name, parent), stamp, row
 
 
-def _pose(position: Any, rotation: Any) -> list[float]:
-    return [*_vector(position), rotation.w, *_vector(rotation)]
-
-
-def _of_transforms(message: Any) -> _Found:
-    for each in message.transforms:
-        key = _Key("pose", each.child_frame_id, each.header.frame_id)
-        yield key, each.header.stamp, _pose(each.transform.translation, each.transform.rotation)
-
-
-def _of_frame(message: Any) -> _Found:
-    key = _Key("pose", message.child_frame_id, message.parent_frame_id)
-    yield key, message.timestamp, _pose(message.translation, message.rotation)
-
-
-def _of_frames(message: Any) -> _Found:
-    for each in message.transforms:
-        yield from _of_frame(each)
-
-
-def _of_odometry(message: Any) -> _Found:
-    pose, twist = message.pose.pose, message.twist.twist
-    rates = [*_vector(twist.linear), *_vector(twist.angular)]
-    row = [*_pose(pose.position, pose.orientation), *rates]
-    key = _Key("odometry", message.child_frame_id, message.header.frame_id)
-    yield key, message.header.stamp, row
-
-
-def _of_joint_state(message: Any) -> _Found:
+def _of_joint_state(message: Any) -> _Rows:
     for i, name in enumerate(message.name):
         series = (message.position, message.velocity, message.effort)
         row = [values[i] if i < len(values) else math.nan for values in series]
         yield _Key("joint", name), message.header.stamp, row
 
 
-def _of_joint_states(message: Any) -> _Found:
+def _of_joint_states(message: Any) -> _Rows:
     for joint in message.joints:
         row = [
             getattr(joint, field) if joint.HasField(field) else math.nan
@@ -227,17 +215,23 @@ def _of_joint_states(message: Any) -> _Found:
         yield _Key("joint", joint.name), message.timestamp, row
 
 
-def _of_wrench(message: Any) -> _Found:
-    row = [*_vector(message.wrench.force), *_vector(message.wrench.torque)]
-    yield _Key("wrench", message.header.frame_id), message.header.stamp, row
-
-
-_MESSAGES: dict[str, Callable[[Any], _Found]] = {
-    "tf2_msgs/msg/TFMessage": _of_transforms,
+_FRAME = _Vectors(
+    kind="pose", parent="parent_frame_id", stamp="timestamp", values=("translation", "rotation"),
+)  # fmt: skip
+_MESSAGES: dict[str, Callable[[Any], _Rows]] = {
+    "tf2_msgs/msg/TFMessage": _Vectors(
+        kind="pose", values=("transform.translation", "transform.rotation"), each="transforms"
+    ),
     "sensor_msgs/msg/JointState": _of_joint_state,
-    "nav_msgs/msg/Odometry": _of_odometry,
-    "geometry_msgs/msg/WrenchStamped": _of_wrench,
-    "foxglove.FrameTransform": _of_frame,
-    "foxglove.FrameTransforms": _of_frames,
+    "nav_msgs/msg/Odometry": _Vectors(
+        kind="odometry",
+        values=("pose.pose.position", "pose.pose.orientation", "twist.twist.linear",
+                "twist.twist.angular"),
+    ),
+    "geometry_msgs/msg/WrenchStamped": _Vectors(
+        kind="wrench", name="header.frame_id", values=("wrench.force", "wrench.torque")
+    ),
+    "foxglove.FrameTransform": _FRAME,
+    "foxglove.FrameTransforms": dataclasses.replace(_FRAME, each="transforms"),
     "foxglove.JointStates": _of_joint_states,
-}
+}  # fmt: skip
