@@ -35,6 +35,7 @@ from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.registry import find_factory
 from ffsm_drake.systems.setup import BlockSetup
 
+TERMS = ("tracking", "effort")  # of the reward at each sample
 WEIGHTS = {"tracking": 1.0, "effort": 0.01, "settled": 10.0, "failure": 10.0}
 _UNLIMITED = 100.0  # N m or N; replaces a missing force limit
 _MOST = 1e3  # an error in tolerances, and a force in limits
@@ -50,7 +51,7 @@ class Exchange:
         self.sample: Sample | None = None  # input of the law
         self.end: np.ndarray | None = None  # the law's view at the end of the run's time
         self._count, self._action = 0, np.zeros(0)
-        self._since = list[tuple[Any, ...]]()  # rows since the last step
+        self._since = list[np.ndarray]()
 
     def ask(self, seen: np.ndarray, sample: Sample) -> np.ndarray:
         """The action at a sample, given the law's view ``seen``. No step begins at the end of the
@@ -64,29 +65,15 @@ class Exchange:
         self._count += 1
         return self._action
 
-    def told(self, error: np.ndarray, force: np.ndarray) -> None:
-        """Keep the law's error and force at a sample."""
+    def told(self, terms: np.ndarray) -> None:
+        """Keep the reward's terms at a sample."""
         if self._count <= self._periods:
-            self._since.append((error.copy(), np.array(force)))
+            self._since.append(terms)
 
-    def spent(self) -> list[np.ndarray]:
-        """Errors and forces since the last step, a row for each sample."""
+    def spent(self) -> np.ndarray:
+        """Means of the reward's terms over the samples since the last step (2)."""
         since, self._since = self._since, []
-        return [np.array(each) for each in zip(*since, strict=True)]
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _Steered(ActingLaw):
-    """The law of an environment's actions."""
-
-    exchange: Exchange
-
-    def action(self, seen: np.ndarray, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        return self.exchange.ask(seen, sample), {}
-
-    def told(self, error: np.ndarray, force: np.ndarray) -> State:
-        self.exchange.told(error, force)
-        return {}
+        return np.mean(since or [np.zeros(2)], axis=0)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,37 +84,44 @@ class Reward:
     limit: np.ndarray  # (nv) of the force
     counts: np.ndarray  # (n) which of the errors count
 
-    def terms(self, error: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Tracking and effort (...), of errors (..., n) and forces (..., nv)."""
+    def terms(self, error: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Tracking and effort (..., 2), of errors (..., n) and forces (..., nv)."""
         excess, effort = (
             np.where(size < _MOST, size, _MOST)  # also for NaN
             for size in (np.abs(error) / self.tolerance, np.abs(force) / self.limit)
         )
         excess = excess[..., self.counts]
         sums = excess.sum(axis=-1), (effort**2).sum(axis=-1)
-        return -sums[0] / excess.shape[-1], -sums[1] / effort.shape[-1]
+        return np.stack([-sums[0] / excess.shape[-1], -sums[1] / effort.shape[-1]], axis=-1)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class _Remembered(ActingLaw):
-    """The law of actions in its memory, where it leaves the observation and the reward's terms."""
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Steered(ActingLaw):
+    """The law of an environment's actions. They come from an exchange, or are set in its memory,
+    where it leaves the observation and the reward's terms.
+    """
 
     logged: ClassVar[tuple[str, ...]] = ("seen", "terms")
     reward: Reward
     num_seen: int
+    exchange: Exchange | None
 
     def initial_state(self) -> State:
         own = {"action": self.acts.size, "seen": self.num_seen, "terms": 2}
         return {**super().initial_state(), **{name: np.zeros(n) for name, n in own.items()}}
 
     def action(self, seen: np.ndarray, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        return state["action"], {"action": state["action"], "seen": seen, "terms": state["terms"]}
+        action = state["action"] if self.exchange is None else self.exchange.ask(seen, sample)
+        return action, {"action": action, "seen": seen, "terms": state["terms"]}
 
     def told(self, error: np.ndarray, force: np.ndarray) -> State:
-        return {"terms": np.stack(self.reward.terms(error, force), axis=-1)}
+        terms = self.reward.terms(error, force)
+        if self.exchange is not None:
+            self.exchange.told(terms)
+        return {"terms": terms}
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Steering:
     """Maker of a run's law from actions; holds no environment, which may end before the run."""
 
@@ -136,23 +130,21 @@ class Steering:
     acts: np.ndarray  # (na) indices in v
     scale: np.ndarray  # (na)
     tracks_frame: bool
+    reward: Reward
+    num_seen: int  # how many numbers are observed
 
-    def __call__(self, setup: BlockSetup, exchange: Exchange) -> ControlLaw:
-        """The law of a run, with actions from ``exchange``."""
-        return _Steered(exchange=exchange, **self._settings(setup))
-
-    def remembered(self, setup: BlockSetup, reward: Reward, num_seen: int) -> ControlLaw:
-        """The law of a run with actions in its memory; ``num_seen`` numbers are observed."""
-        return _Remembered(reward=reward, num_seen=num_seen, **self._settings(setup))
-
-    def _settings(self, setup: BlockSetup) -> dict[str, Any]:
-        return {
-            "kind": self.kind,
-            "acts": self.acts,
-            "scale": self.scale,
-            "inner": None if self.kind == "force" else inner_law(self.law, setup),
-            "task": TaskSpace.from_setup(setup) if self.tracks_frame else None,
-        }
+    def __call__(self, setup: BlockSetup, exchange: Exchange | None = None) -> ControlLaw:
+        """The law of a run, with actions from ``exchange``, or from its memory."""
+        return _Steered(
+            kind=self.kind,
+            acts=self.acts,
+            scale=self.scale,
+            inner=None if self.kind == "force" else inner_law(self.law, setup),
+            task=TaskSpace.from_setup(setup) if self.tracks_frame else None,
+            reward=self.reward,
+            num_seen=self.num_seen,
+            exchange=exchange,
+        )
 
 
 class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
@@ -215,24 +207,27 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._limit = limit = _finite(actuation_limit(self.scenario, coordinates).upper)
         self.action_names = tuple(coordinates.names[i] for i in coordinates.driven)
         factory = find_factory("controller", law, python_path=scenario.python_path)
-        self.steering = Steering(
-            kind=action,
-            law=law,
-            acts=coordinates.driven,
-            scale=self._scales(scale, action)[coordinates.driven],
-            tracks_frame=bool(getattr(factory, "tracks_frame", False)),
+        tracks_frame = bool(getattr(factory, "tracks_frame", False))
+        errors = error_names(self.scenario, coordinates, tracks_frame=tracks_frame)
+        self.observation_names = observation_names(
+            self.scenario, coordinates, tracks_frame=tracks_frame
         )
-        of_frame = {"tracks_frame": self.steering.tracks_frame}
-        errors = error_names(self.scenario, coordinates, **of_frame)
-        self.observation_names = observation_names(self.scenario, coordinates, **of_frame)
         counts = coordinates.is_driven.copy()
-        if self.steering.tracks_frame:  # its pose counts in place of the joints
+        if tracks_frame:  # its pose counts in place of the joints
             if action == "setpoint":
                 raise FfsmError(f"action: {law} tracks a frame; must be force or residual")
             counts &= np.array([group != "joints" for group in coordinates.group_of])
         counts = np.append(counts, np.ones(len(errors) - counts.size, dtype=bool))
         tolerance = np.array([self.scenario.tolerance_of(*each) for each in errors])
-        self.reward = Reward(tolerance=tolerance, limit=limit, counts=counts)
+        self.steering = Steering(
+            kind=action,
+            law=law,
+            acts=coordinates.driven,
+            scale=self._scales(scale, action)[coordinates.driven],
+            tracks_frame=tracks_frame,
+            reward=Reward(tolerance=tolerance, limit=limit, counts=counts),
+            num_seen=len(self.observation_names),
+        )
         self.action_space = _box(len(self.action_names), 1.0, dtype)
         self.observation_space = _box(len(self.observation_names), FURTHEST, dtype)
         self._exchange: Exchange | None = None
@@ -290,7 +285,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             raise FfsmError("the episode is over, or did not begin: call reset")
         self._exchange.run.answer(clipped(action, self.action_space.shape))
         log, spent = self._take()
-        terms = {name: float(value) for name, value in self.reward_terms(spent).items()}
+        terms = dict(zip(TERMS, spent.tolist(), strict=True))
         info: dict[str, Any] = {"reward_terms": terms}
         if log is not None:
             self.log = log
@@ -302,11 +297,6 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         completed = log is not None and log.outcome.completed
         return self._seen.copy(), reward, ended and not completed, completed, info
 
-    def reward_terms(self, spent: list[np.ndarray]) -> dict[str, Any]:
-        """Reward terms of a step, from ``Exchange.spent``."""
-        terms = self.reward.terms(*spent) if spent else (np.zeros(1), np.zeros(1))
-        return dict(zip(("tracking", "effort"), (each.mean() for each in terms), strict=True))
-
     def reward_of(self, terms: Mapping[str, Any]) -> Any:
         """Weighted sum of reward terms."""
         return sum(self._weights[name] * value for name, value in terms.items())
@@ -317,8 +307,10 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             self._exchange.run.stop()
         self._exchange = None
 
-    def _take(self) -> tuple[RunLog | None, list[np.ndarray]]:
-        """Wait for the run's next step, or its end; keep the observation."""
+    def _take(self) -> tuple[RunLog | None, np.ndarray]:
+        """Wait for the run's next step, or its end; keep the observation. Return the log at the
+        end, and ``Exchange.spent``.
+        """
         assert self._exchange is not None
         exchange = self._exchange
         try:

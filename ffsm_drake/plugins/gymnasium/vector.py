@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium.vector import SyncVectorEnv
 
 from ffsm_drake.common.errors import FfsmError, one_line
-from ffsm_drake.plugins.gymnasium.environment import MissionEnv, clipped
+from ffsm_drake.plugins.gymnasium.environment import TERMS, MissionEnv, clipped
 from ffsm_drake.plugins.policy.policy import observation
 from ffsm_drake.runs.engine import DRAKE, NotCovered, find_engine
 
@@ -61,10 +61,7 @@ class MissionVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
         one = self.envs[0]
         found = find_engine(name)
         assert found is not None
-        law = functools.partial(
-            one.steering.remembered, reward=one.reward, num_seen=len(one.observation_names)
-        )
-        return found.lanes(one.scenario, law, self.num_envs, self._every)
+        return found.lanes(one.scenario, one.steering, self.num_envs, self._every)
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
@@ -138,7 +135,7 @@ class MissionVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
         # one after the other, whatever the number of copies
         sums = np.cumsum(np.where(is_own[..., None], found, 0.0), axis=1)[:, -1]
         means = sums / np.maximum(samples, 1)[:, None]
-        return {"tracking": means[:, 0], "effort": means[:, 1]}
+        return dict(zip(TERMS, means.T, strict=True))
 
     def _begin(self, copies: np.ndarray, seeds: Sequence[int | None]) -> None:
         """New runs of some copies."""
