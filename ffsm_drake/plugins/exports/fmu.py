@@ -7,7 +7,6 @@ Python of its host, which must have this package.
 """
 
 import abc
-import dataclasses
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -25,9 +24,9 @@ from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import Scenario, load_scenario, scenario_to_yaml
 from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.systems.controllers import ControlLaw
+from ffsm_drake.systems.controllers import ControlLaw, make_law
 from ffsm_drake.systems.controllers.law import Sample, State
-from ffsm_drake.systems.registry import call_factory, find_factory
+from ffsm_drake.systems.registry import find_factory
 from ffsm_drake.systems.setup import BlockSetup
 
 try:
@@ -273,19 +272,10 @@ class ControllerSlave(_Slave):
         self.add("force", tuple(self.coordinates.names), Fmi3Causality.output)
 
     def exit_initialization_mode(self) -> None:
-        scenario, made = self.scenario, list[Any]()
-        factory = find_factory("controller", scenario.controller, python_path=scenario.python_path)
-
-        def make(setup: BlockSetup) -> Any:
-            settings = scenario.controllers.get(scenario.controller, {})
-            own = dataclasses.replace(setup, name=scenario.controller, settings=settings)
-            made.append(call_factory(factory, own, place=scenario.controller))
-            return made[-1]
-
-        Rollout(scenario, blocks={"controller": make}).release()
-        if not isinstance(made[-1], ControlLaw):
-            raise FfsmError(f"{scenario.controller}: must be a control law")
-        self._law, self._state, self._is_first = made[-1], made[-1].initial_state(), True
+        law = make_law(self.scenario, make_nominal_plant(self.scenario))
+        if not isinstance(law, ControlLaw):
+            raise FfsmError(f"{self.scenario.controller}: must be a control law")
+        self._law, self._state, self._is_first = law, law.initial_state(), True
 
     def advance(self) -> bool:
         read = {name: self.values[of].copy() for name, of in (_POSITIONS | _VELOCITIES).items()}

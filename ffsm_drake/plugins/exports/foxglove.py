@@ -177,6 +177,24 @@ def free_target(record: RunRecord) -> Mapping[int, RigidTransform]:
     }
 
 
+def poses_of(record: RunRecord, bodies: "Bodies") -> Iterator[dict[str, RigidTransform]]:
+    """X_WB of each body at the samples of a run, up to the first that is not finite."""
+    data, free = record.dataset, free_target(record)
+    hidden = data["hidden_position"].values if "hidden_position" in data else None
+    for k, q in enumerate(data["position"].values):
+        if not np.isfinite(q).all():
+            break
+        yield dict(bodies.poses(q, hidden=None if hidden is None else hidden[k], free=free.get(k)))
+
+
+def joints_of(record: RunRecord) -> tuple[list[str], np.ndarray]:
+    """Names of the joints, and their positions, rates and efforts (n, 3, joints)."""
+    angles = record.positions().joint_position
+    of = {"coordinate": [str(name) for name in angles.coordinate.values]}
+    rows = [angles, *(record.dataset[name].sel(of) for name in ("velocity", "applied_force"))]
+    return of["coordinate"], np.stack([each.values for each in rows], axis=1)
+
+
 class Bodies:
     """The bodies of a scenario's model, by scoped name."""
 
@@ -233,7 +251,7 @@ class _Scene:
         self.m, channels = foxglove.messages, foxglove.channels
         self._tf = channels.FrameTransformsChannel("/tf", context=context)
         self._shapes = channels.SceneUpdateChannel("/scene", context=context)
-        self._bodies = Bodies(scenario)
+        self.bodies = Bodies(scenario)
 
     def stamp(self, nanoseconds: int) -> Any:
         return self.m.Timestamp(*divmod(nanoseconds, 10**9))
@@ -241,7 +259,7 @@ class _Scene:
     def write_shapes(self, time: int) -> None:
         """Log the shapes of all bodies at a time, ns."""
         entities = []
-        for name, pictures in self._bodies.pictures():
+        for name, pictures in self.bodies.pictures():
             shapes: dict[str, list[Any]] = {}
             for found in filter(None, (self._primitive(*picture) for picture in pictures)):
                 shapes.setdefault(found[0], []).append(found[1])
@@ -252,15 +270,8 @@ class _Scene:
                 entities.append(entity)
         self._shapes.log(self.m.SceneUpdate(entities=entities), log_time=time)
 
-    def write_poses(
-        self,
-        time: int,
-        q: np.ndarray,
-        *,
-        hidden: np.ndarray | None = None,
-        free: RigidTransform | None = None,
-    ) -> None:
-        """Log where all bodies are at a time, ns. Arguments as of ``Bodies.poses``."""
+    def write_poses(self, time: int, poses: Mapping[str, RigidTransform]) -> None:
+        """Log the poses of bodies, by name, at a time, ns."""
         transforms = [
             self.m.FrameTransform(
                 timestamp=self.stamp(time),
@@ -269,7 +280,7 @@ class _Scene:
                 translation=self._vector(X),
                 rotation=self._quaternion(X),
             )
-            for name, X in self._bodies.poses(q, hidden=hidden, free=free)
+            for name, X in poses.items()
         ]
         self._tf.log(self.m.FrameTransforms(transforms=transforms), log_time=time)
 
@@ -342,7 +353,7 @@ class _Live:
             if wall - self._seen >= _SHAPES:  # for pages that connected meanwhile
                 self._seen = wall
                 self._scene.write_shapes(stamp)
-            self._scene.write_poses(stamp, q)
+            self._scene.write_poses(stamp, dict(self._scene.bodies.poses(q)))
         return _AS_IT_IS
 
 
@@ -369,27 +380,16 @@ class _Messages:
         return getattr(self._channels, f"{kind}Channel")(topic, context=self._context)
 
     def _write_poses(self) -> None:
-        hidden = self._data["hidden_position"].values if "hidden_position" in self._data else None
-        free = free_target(self._record)
-        for k, (stamp, q) in enumerate(
-            zip(self._stamps, self._data["position"].values, strict=True)
-        ):
-            if not np.isfinite(q).all():
-                break
-            deflection = None if hidden is None else hidden[k]
-            self._scene.write_poses(stamp, q, hidden=deflection, free=free.get(k))
+        poses = poses_of(self._record, self._scene.bodies)
+        for stamp, each in zip(self._stamps, poses, strict=False):
+            self._scene.write_poses(stamp, each)
 
     def _write_joints(self) -> None:
-        topic, record = self._topic("JointStates", "/joint_states"), self._record
-        angles = record.positions().joint_position
-        names = [str(name) for name in angles.coordinate.values]
-        of = {"coordinate": names}
-        speeds, forces = self._data.velocity.sel(of), self._data.applied_force.sel(of)
-        series = (angles.values, speeds.values, forces.values)
-        for stamp, *rows in zip(self._stamps, *series, strict=True):
+        topic, (names, rows) = self._topic("JointStates", "/joint_states"), joints_of(self._record)
+        for stamp, row in zip(self._stamps, rows, strict=True):
             joints = [
                 self._m.JointState(name=name, position=q, velocity=v, effort=f)
-                for name, q, v, f in zip(names, *rows, strict=True)
+                for name, q, v, f in zip(names, *row, strict=True)
             ]
             topic.log(
                 self._m.JointStates(timestamp=self._scene.stamp(stamp), joints=joints),

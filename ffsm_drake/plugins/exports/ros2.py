@@ -10,7 +10,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.so3 import in_body_axes
-from ffsm_drake.plugins.exports.foxglove import WORLD, Bodies, free_target
+from ffsm_drake.plugins.exports.foxglove import WORLD, Bodies, joints_of, poses_of
 from ffsm_drake.runs.record import RunRecord
 
 _PARTS = {
@@ -48,6 +48,7 @@ _MESSAGES = {
         "std_msgs/Header header\ngeometry_msgs/Wrench wrench",
     ),
 }
+_SERIES = ("position", "velocity", "effort")  # of joints
 _UNKNOWN = [0.0] * 36  # covariance
 _RULE = "\n" + 80 * "=" + "\nMSG: "
 
@@ -61,11 +62,8 @@ def write(record: RunRecord, path: Path) -> None:
         ros2: Any = importlib.import_module("mcap_ros2.writer")
     except ImportError as error:
         raise FfsmError("--ros2 needs mcap-ros2-support: pip install 'ffsm-drake[ros2]'") from error
-    data, free, bodies = record.dataset, free_target(record), Bodies(record.scenario)
-    hidden = data["hidden_position"].values if "hidden_position" in data else None
-    angles = record.positions().joint_position
-    names = [str(name) for name in angles.coordinate.values]
-    speeds, forces = (data[of].sel(coordinate=names).values for of in ("velocity", "applied_force"))
+    data, bodies, (names, joints) = record.dataset, Bodies(record.scenario), joints_of(record)
+    poses = poses_of(record, bodies)
     with path.open("wb") as stream:
         writer = ros2.Writer(stream)
         schemas = {
@@ -76,30 +74,29 @@ def write(record: RunRecord, path: Path) -> None:
             stamp = round(float(time) * 1e9)
             header = {"stamp": dict(zip(("sec", "nanosec"), divmod(stamp, 10**9), strict=True))}
             header["frame_id"] = WORLD  # type: ignore[assignment]
-            q = data["position"].values[k]
             torque, force = np.split(data["applied_force"].values[k, :6], 2)
             found = {
                 "/joint_states": {
                     "header": header,
                     "name": names,
-                    "position": angles.values[k].tolist(),
-                    "velocity": speeds[k].tolist(),
-                    "effort": forces[k].tolist(),
+                    **dict(
+                        zip(("position", "velocity", "effort"), joints[k].tolist(), strict=True)
+                    ),
                 },
                 "/wrench": {
                     "header": header,
                     "wrench": {"force": _vector(force), "torque": _vector(torque)},
                 },
             }
-            if np.isfinite(q).all():
-                deflection = None if hidden is None else hidden[k]
-                poses = dict(bodies.poses(q, hidden=deflection, free=free.get(k)))
-                found["/tf"] = {"transforms": [_transform(header, *each) for each in poses.items()]}
-                rates = in_body_axes(q[None, :4], data["velocity"].values[k, :6].reshape(2, 3))
+            if placed := next(poses, None):
+                transforms = [_transform(header, *each) for each in placed.items()]
+                found["/tf"] = {"transforms": transforms}
+                q, v = data["position"].values[k, :4], data["velocity"].values[k, :6]
+                rates = in_body_axes(q[None], v.reshape(2, 3))
                 found["/odom"] = {
                     "header": header,
                     "child_frame_id": bodies.base,
-                    "pose": {"pose": _pose(poses[bodies.base]), "covariance": _UNKNOWN},
+                    "pose": {"pose": _pose(placed[bodies.base]), "covariance": _UNKNOWN},
                     "twist": {
                         "twist": {"linear": _vector(rates[1]), "angular": _vector(rates[0])},
                         "covariance": _UNKNOWN,
