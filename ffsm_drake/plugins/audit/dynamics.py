@@ -75,24 +75,22 @@ class Dynamics:
 
     def bodies_of(self, log: Log) -> Bodies:
         """Motion of the bodies relative to the base."""
-        shape = len(log.time), len(self.bodies), 3
-        turns, origins = np.zeros((*shape, 3)), np.zeros(shape)
-        spins, velocities = np.zeros(shape), np.zeros(shape)
+        count = len(log.time), len(self.bodies)
+        poses, twists = np.zeros((*count, 3, 4)), np.zeros((*count, 6))
         state = np.zeros(self.plant.num_positions() + self.plant.num_velocities())
         state[0] = 1.0
         for k, joints in enumerate(zip(log.angles, log.rates, strict=True)):
             state[7 : 7 + len(self.names)], state[len(state) - len(self.names) :] = joints
             self.plant.SetPositionsAndVelocities(self.context, state)
             for i, body in enumerate(self.bodies):
-                pose = body.EvalPoseInWorld(self.context)
-                twist = body.EvalSpatialVelocityInWorld(self.context)
-                turns[k, i], origins[k, i] = pose.rotation().matrix(), pose.translation()
-                spins[k, i], velocities[k, i] = twist.rotational(), twist.translational()
+                poses[k, i] = body.EvalPoseInWorld(self.context).GetAsMatrix34()
+                twists[k, i] = body.EvalSpatialVelocityInWorld(self.context).get_coeffs()
+        turns, spins = poses[..., :3], twists[..., :3]
         arm = np.einsum("nbij,bj->nbi", turns, self._centers)
         return Bodies(
             mass=self.masses,
-            center=origins + arm,
-            velocity=velocities + np.cross(spins, arm),
+            center=poses[..., 3] + arm,
+            velocity=twists[..., 3:] + np.cross(spins, arm),
             spin=spins,
             inertia=np.einsum("nbij,bjk,nblk->nbil", turns, self._inertias, turns),
             turn=turns,
