@@ -35,7 +35,7 @@ NEEDS = {
     "gymnasium": {"policy", "task_space"},
     "new": {"actuators", "design"},
     "paper": {"analysis", "design"},
-    "planning": {"design", "task_space"},
+    "planning": {"design", "equations", "task_space"},
     "policy": {"task_space"},
 }
 # What stands at the top for users: the verbs, the command, the conformance kit.

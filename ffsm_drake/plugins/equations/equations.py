@@ -72,24 +72,36 @@ def derivative(
 
 def bias(tree: Tree, q: Sequence[Any], v: Sequence[Any], own: Sequence[Any]) -> list[Any]:
     """The Coriolis and centrifugal term (nv), N m and N: the force of zero dv/dt."""
-    moving = _Motion(tree, q, v, own)
+    return inverse_dynamics(tree, q, v, [0.0] * tree.num_velocities, own)
+
+
+def inverse_dynamics(
+    tree: Tree, q: Sequence[Any], v: Sequence[Any], a: Sequence[Any], own: Sequence[Any]
+) -> list[Any]:
+    """The force H a + C (nv), N m and N, of accelerations a (nv), without damping and springs.
+
+    Numbers may also be arrays of one shape, for many states at once.
+    """
+    moving, first = _Motion(tree, q, v, own), tree.base_velocity
+    world = quaternion_matrix(q[tree.base_position : tree.base_position + 4])
+    down = transposed(world)
     turning, sliding = moving.twists[0][:3], moving.twists[0][3:]
-    accelerations = [[*ZERO, *scaled(-1.0, cross(turning, sliding))]]
+    pull = minus(times(down, a[first + 3 : first + 6]), cross(turning, sliding))
+    accelerations = [[*times(down, a[first : first + 3]), *pull]]
     loads = moving.gyroscopic_forces()
     for body, link in enumerate(tree.links, start=1):
         joint = moving.joints[body]
         carried = joint.pose.motion_down(accelerations[link.parent])
-        accelerations.append(plus(carried, joint.bias))
+        accelerations.append(plus(carried, joint.bias, scaled(a[link.velocity], joint.axis)))
     for body, acceleration in enumerate(accelerations):
         inertia = _articulated(own[tree.inertia_rows(body)])
         loads[body] = plus(loads[body], inertia.times(acceleration))
     result: list[Any] = [0.0] * tree.num_velocities
     for body in range(len(tree.links), 0, -1):
         link, joint = tree.links[body - 1], moving.joints[body]
-        result[link.velocity] = dot(joint.axis, loads[body])
+        rotor = own[tree.joint_rows(body)][1]
+        result[link.velocity] = dot(joint.axis, loads[body]) + rotor * a[link.velocity]
         loads[link.parent] = plus(loads[link.parent], joint.pose.force_up(loads[body]))
-    world = quaternion_matrix(q[tree.base_position : tree.base_position + 4])
-    first = tree.base_velocity
     result[first : first + 6] = [*times(world, loads[0][:3]), *times(world, loads[0][3:])]
     return result
 

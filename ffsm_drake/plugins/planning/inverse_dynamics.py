@@ -5,26 +5,24 @@ exp(phi) R_0. So a motion is a curve in R^nv without a constraint, z = [phi, p_W
 order of v. It is unique while |phi| < pi.
 
 Drake's own inverse dynamics takes one state at a time, about 1 ms each with automatic
-differentiation; here NumPy evaluates all states of a motion in one recursion (Newton-Euler, from
-the base outward and back), with complex-step derivatives. The tests compare it with Drake's. No
-gravity.
+differentiation. Here the plug-in ``equations`` evaluates all states of a motion at once, with
+complex-step derivatives. No gravity.
 """
 
-import dataclasses
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from pydrake.math import RotationMatrix
-from pydrake.multibody.tree import Joint
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.common.so3 import attitude_motion, cross
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, joints_of
+from ffsm_drake.common.so3 import attitude_motion
+from ffsm_drake.plugins.equations.equations import inverse_dynamics
+from ffsm_drake.plugins.equations.tree import NotCovered, Reader
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.spacecraft.plant import base_body
 
 _STEP = 1e-30  # complex step: its truncation error is below rounding
+_AT_ORIGIN = [1.0, *[0.0] * 6]  # pose of a base
 _COLUMNS = 600  # states in one pass: as many as fit the processor's cache
 
 
@@ -56,22 +54,6 @@ def complex_step(
     return value, derivative
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _Link:
-    """A rigid group of bodies, in the frame of its joint."""
-
-    mass: float
-    com: np.ndarray
-    inertia: np.ndarray  # (3, 3), about the centre of mass
-    parent: int = -1
-    rotation: np.ndarray  # (3, 3), joint frame in the parent's
-    place: np.ndarray  # (3,), joint frame in the parent's, m
-    axis: np.ndarray
-    slides: bool = False
-    damping: float = 0.0  # N m s/rad or N s/m
-    rotor: float = 0.0  # kg m^2 or kg; rotor inertia of the joint's drive, as seen at the joint
-
-
 class InverseDynamics:
     """Generalized force tau = H dv/dt + C + d v of a motion, d being the joints' damping."""
 
@@ -79,124 +61,40 @@ class InverseDynamics:
 
     def __init__(self, model: PlantModel, first: RotationMatrix) -> None:
         """Args:
-        model: the plant with its payload.
-        first: the attitude R_0, the origin of rotation vectors.
+          model: the plant with its payload.
+          first: the attitude R_0, the origin of rotation vectors.
+
+        Raises ModelError: a joint is neither revolute nor prismatic.
         """
-        plant, context = model.plant, model.context
-        q = np.zeros(plant.num_positions())
-        q[0] = 1.0
-        plant.SetPositions(context, q)
+        try:
+            reader = Reader(model.plant)
+        except NotCovered as error:
+            raise ModelError(f"the motion cannot be planned: {error}") from error
+        self._tree, self._own = reader.tree, reader.parameters(model.context).tolist()
         self._first = first.matrix()
-        joints, base = joints_of(plant), base_body(plant)
-        link_of = {body.index(): 0 for body in plant.GetBodiesWeldedTo(base)}
-        for number, joint in enumerate(joints, start=1):
-            link_of |= {
-                body.index(): number for body in plant.GetBodiesWeldedTo(joint.child_body())
-            }
-        frames = [base.body_frame(), *(joint.frame_on_child() for joint in joints)]
-        rotors = {
-            actuator.joint().index(): actuator.calc_reflected_inertia(context)
-            for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
-        }
-        self._links = []
-        for number, frame in enumerate(frames):
-            bodies = [index for index, link in link_of.items() if link == number]
-            spatial = plant.CalcSpatialInertia(context, frame, bodies)
-            central = spatial.Shift(spatial.get_com()).CalcRotationalInertia().CopyToFullMatrix3()
-            link = _Link(
-                mass=spatial.get_mass(), com=spatial.get_com(), inertia=central,
-                rotation=np.eye(3), place=np.zeros(3), axis=np.zeros(3),
-            )  # fmt: skip
-            if number:
-                joint = joints[number - 1]
-                own = self._joint(joint, link_of, frames, context)
-                link = dataclasses.replace(link, **own, rotor=rotors.get(joint.index(), 0.0))
-            self._links.append(link)
 
     @property
     def mass(self) -> float:
         """Mass of the whole spacecraft, kg."""
-        return sum(link.mass for link in self._links)
-
-    @staticmethod
-    def _joint(
-        joint: Joint, link_of: dict[Any, int], frames: list[Any], context: object
-    ) -> dict[str, Any]:
-        parent = link_of[joint.parent_body().index()]
-        place = joint.frame_on_parent().CalcPose(context, frames[parent])
-        slides = joint.type_name() == "prismatic"
-        if joint.type_name() not in ("prismatic", "revolute"):
-            raise ModelError(
-                f"joint '{joint.name()}': a {joint.type_name()} joint cannot be planned for"
-            )
-        return {
-            "parent": parent,
-            "rotation": place.rotation().matrix(),
-            "place": place.translation(),
-            "axis": joint.translation_axis() if slides else joint.revolute_axis(),
-            "slides": slides,
-            "damping": joint.default_damping(),
-        }
+        bodies = range(len(self._tree.links) + 1)
+        return sum(self._own[self._tree.inertia_rows(body)][0] for body in bodies)
 
     def force(self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
         """tau (nv, n), world axes, for z and its time derivatives (nv, n)."""
+        tree, own, joints = self._tree, self._own, slice(NUM_BASE_VELOCITIES, None)
         turned, w, alpha = attitude_motion(z[:3], rate[:3], acceleration[:3])
-        rotations = [np.einsum("ijn,jk->ikn", turned, self._first)]
-        rates, accelerations, linear = [w], [alpha], [acceleration[3:6]]
-        # from the parent's origin to the joint
-        arms, axes = [np.zeros_like(w)], [np.zeros_like(w)]
-        for number, link in enumerate(self._links[1:], start=NUM_BASE_VELOCITIES):
-            parent, joint_rate = link.parent, rate[number]
-            frame = np.einsum("ijn,jk->ikn", rotations[parent], link.rotation)
-            arm, axis = (
-                np.einsum("ijn,j->in", rotations[parent], v)
-                for v in (link.place, link.rotation @ link.axis)
-            )
-            w, alpha = rates[parent], accelerations[parent]
-            if link.slides:
-                arm = arm + axis * z[number]
-                own = axis * acceleration[number] + 2 * cross(w, axis * joint_rate)
-            else:
-                own = 0.0
-                x, y, v = link.axis
-                skew = np.array([[0, -v, y], [v, 0, -x], [-y, x, 0]])
-                sine, versine = np.sin(z[number]), 1 - np.cos(z[number])
-                turn = (
-                    np.eye(3)[:, :, None]
-                    + sine * skew[:, :, None]
-                    + versine * (skew @ skew)[:, :, None]
-                )
-                frame = np.einsum("ijn,jkn->ikn", frame, turn)
-                alpha = alpha + axis * acceleration[number] + cross(w, axis * joint_rate)
-            linear.append(
-                linear[parent] + cross(accelerations[parent], arm) + cross(w, cross(w, arm)) + own
-            )
-            rates.append(w if link.slides else w + axis * joint_rate)
-            accelerations.append(alpha)
-            rotations.append(frame)
-            arms.append(arm)
-            axes.append(axis)
-        forces, moments = [], []
-        for link, rotation, w, alpha, a in zip(
-            self._links, rotations, rates, accelerations, linear, strict=True
-        ):
-            com = np.einsum("ijn,j->in", rotation, link.com)
-            w_own, alpha_own = (np.einsum("jin,jn->in", rotation, vector) for vector in (w, alpha))
-            force = link.mass * (a + cross(alpha, com) + cross(w, cross(w, com)))
-            moment = link.inertia @ alpha_own + cross(w_own, link.inertia @ w_own)
-            forces.append(force)
-            moments.append(np.einsum("ijn,jn->in", rotation, moment) + cross(com, force))
-        tau = np.empty(z.shape, dtype=z.dtype)
-        for number in range(len(self._links) - 1, 0, -1):
-            link, row = self._links[number], number + NUM_BASE_VELOCITIES - 1
-            along = forces[number] if link.slides else moments[number]
-            own = link.damping * rate[row] + link.rotor * acceleration[row]
-            tau[row] = (axes[number] * along).sum(axis=0) + own
-            forces[link.parent] = forces[link.parent] + forces[number]
-            moments[link.parent] = (
-                moments[link.parent] + moments[number] + cross(arms[number], forces[number])
-            )
-        tau[:3], tau[3:6] = moments[0], forces[0]
+        R_WB = np.einsum("ijn,jk->ikn", turned, self._first)
+        base = np.array([[w, rate[3:6]], [alpha, acceleration[3:6]]])
+        v, a = np.einsum("jin,abjn->abin", R_WB, base).reshape(2, NUM_BASE_VELOCITIES, -1)
+        # in the base's axes, as if it were the world's
+        found = inverse_dynamics(
+            tree, [*_AT_ORIGIN, *z[joints]], [*v, *rate[joints]], [*a, *acceleration[joints]], own
+        )
+        for body, link in enumerate(tree.links, start=1):
+            found[link.velocity] += own[tree.joint_rows(body)][0] * rate[link.velocity]
+        tau = np.array(found)
+        on_base = tau[:NUM_BASE_VELOCITIES].reshape(2, 3, -1)
+        tau[:NUM_BASE_VELOCITIES] = np.einsum("ijn,ajn->ain", R_WB, on_base).reshape(6, -1)
         return tau
 
     def linearized(
