@@ -6,23 +6,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.choice import choose, may_be
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.common.products import times
 from ffsm_drake.plugins.actuators.attitude import attitude_ahead
-from ffsm_drake.plugins.actuators.thrusters import (
-    Firing,
-    ThrusterMemory,
-    ThrusterSet,
-    gains_and_floors,
-)
-from ffsm_drake.plugins.actuators.wheels import Gyroscopic, WheelSet
+from ffsm_drake.plugins.actuators.thrusters import Firing, ThrusterSet, gains_and_floors
+from ffsm_drake.plugins.actuators.wheels import WheelSet, WheelTorques
 from ffsm_drake.scenario import Fault
-from ffsm_drake.systems.continuous import ContinuousSystem
-from ffsm_drake.systems.sampled import Arrays, Now, Sampled, SampledSystem
-from ffsm_drake.systems.setup import CompositeBlock
+from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 from ffsm_drake.tape.arrays import repeated
 
 # Control samples in which wheels recover the torque impulse of pulses beyond their capability.
@@ -66,8 +57,8 @@ class BaseActuators(Sampled):
     velocity at the start, is held; the relative error of a body-fixed impulse is then
     (w L)^2 / 24. Memory: for wheels the missing impulse of torque (3, world axes, N m s), their
     momentum (n), and whether thrusters unload them and motors rearrange it (2); for thrusters the
-    impulse requested but not fired (6, world axes, N m s and N s), and ThrusterMemory. Phase:
-    whether a frame begins (1), and with faults the effect of those that are there.
+    impulse requested but not fired (6, world axes, N m s and N s), and that of ``ThrusterSet``.
+    Phase: whether a frame begins (1), and with faults the effect of those that are there.
     """
 
     thrusters: ThrusterSet | None
@@ -142,7 +133,7 @@ class BaseActuators(Sampled):
             made = {"short": np.zeros(3), "momentum": self.wheels.initial_momentum}
             made["modes"] = np.zeros(2)
         if self.thrusters is not None:
-            made |= {"owed": np.zeros(6), "fuel": self.thrusters.initial_memory().packed()}
+            made |= {"owed": np.zeros(6), **self.thrusters.initial_memory()}
         return made
 
     def phase(self, sample: Any) -> Sequence[Any]:
@@ -165,120 +156,110 @@ class BaseActuators(Sampled):
         return self.frame
 
     def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
-        """See Sampled. The base turns as at the sample's start."""
-        quaternion, w_WB = inputs["state"][:4], inputs["state"][4:]
-        rotation = attitude_ahead(quaternion, w_WB, self.sample_time / 2.0).reshape(3, 3)
-        turning: Any = None
-        missing: Any = None
-        if self.wheels is not None:
-            at_start = attitude_ahead(quaternion, w_WB, 0.0).reshape(3, 3)
-            in_base = times(self.wheels.axes, memory["momentum"])
-            # The held direction of the torque, and the integrator, leave a little between the two.
-            missing = (inputs["stored_momentum"] - times(at_start, in_base)) / self.sample_time
-            turning = times(at_start.T, w_WB)
-        return self.give(
-            inputs["commanded_force"],
-            memory,
-            rotation=rotation,
-            turning=turning,
-            missing=missing,
-            begins=now.phase[0],
-            broken=now.phase[1:] if self._may_break else None,
-            isolated=inputs.get("isolated"),
-        )
-
-    def give(
-        self,
-        commanded: np.ndarray,
-        memory: Arrays,
-        *,
-        rotation: np.ndarray,
-        turning: Any,
-        missing: Any,
-        begins: Any,
-        broken: Any = None,
-        isolated: np.ndarray | None = None,
-    ) -> tuple[Arrays, Arrays]:
-        """Outputs and memory for a command (nv), with R_WB in the middle of the sample (3, 3); for
-        wheels ``turning`` w_WB in the base's axes (3) and their reaction ``missing`` from the
-        integrated momentum (3, world axes); whether a frame ``begins``; with faults their effect
-        ``broken``; with detection what is ``isolated``.
+        """See Sampled. The base turns as at the sample's start.
 
         Commands beyond ``_LARGEST`` give NaN, which marks the run as diverged.
         """
+        commanded, (quaternion, w_WB) = inputs["commanded_force"], np.split(inputs["state"], [4])
         commanded = np.where(np.abs(commanded) < _LARGEST, commanded, np.nan)
-        thrusters, wheels = self.thrusters, self.wheels
-        if isolated is not None and isolated.any():
-            thrusters, wheels, _ = self.without(isolated)
-            if (
-                self.thrusters is not None and broken is not None
-            ):  # a shut valve lets nothing through
-                count, broken = len(self.thrusters.names), broken.copy()
-                broken[: 2 * count] *= np.tile(isolated[:count] != LOST, 2)
-        # torque, force in the base's axes
+        thrusters, wheels, (gain, floor, stops) = self._working(inputs, now)
+        rotation = attitude_ahead(quaternion, w_WB, self.sample_time / 2.0).reshape(3, 3)
+        # torque, force in the base's axes; those requested from the thrusters
         wanted: Any = np.matmul(commanded[:6].reshape(2, 3), rotation)
-        asked = wanted.copy()  # requested from the thrusters
-        found, kept, told_units = dict[str, Any](), dict[str, Any](), list[Any]()
-        applied = commanded.copy()
+        asked, applied, told_units = wanted.copy(), commanded.copy(), list[Any]()
         if wheels is not None:
-            momentum, held = memory["momentum"], memory["modes"] > 0.0
-            unloads, rearranges = held[:1], held[1:]
-            recovered = times(rotation.T, memory["short"])
-            wanted[0] += recovered / (_RECOVERY * self.sample_time)
-            unloads = choose(begins, lambda: wheels.unloads(unloads, momentum, turning), unloads)
-            asked[0] = wheels.assist_torque(wanted[0])
-            if may_be(unloads):
-                asked[0] += np.where(unloads, wheels.unloading_torque(momentum), 0.0)
-        told = applied
+            at_start = attitude_ahead(quaternion, w_WB, 0.0).reshape(3, 3)
+            momentum, turning = memory["momentum"], at_start.T.dot(w_WB)
+            # The held direction of the torque, and the integrator, leave a little between the two.
+            in_world = at_start.dot(wheels.axes.dot(momentum))
+            missing = (inputs["stored_momentum"] - in_world) / self.sample_time
+            unloads = self._ask(wheels, wanted, asked, memory, rotation, turning, now.phase[0])
+            if thrusters is None:
+                applied[:3] = 0.0
+        told, found, kept = applied.copy(), dict[str, Any](), dict[str, Any]()
         if thrusters is not None:
-            firing, of_thrusters = self._fire(thrusters, asked, memory, rotation, begins=begins)
-            force, fired = firing.force, firing.wrench.reshape(wanted.shape)
-            applied[:6] = _turned_back(fired, rotation)
-            if broken is not None:
-                told = applied.copy()
-                told_units.append(firing.force)
-                gain, floor = broken[: 2 * len(thrusters.names)].reshape(2, -1)
-                force = np.maximum(gain * firing.level, floor) * thrusters.force
-                really = times(thrusters.wrenches, force).reshape(wanted.shape)
-                applied[:6] = _turned_back(really, rotation)
-            found = {"thruster_force": force, "thruster_open": firing.open_share}
+            firing, kept = self._fire(thrusters, asked, memory, rotation, begins=now.phase[0])
+            really = thrusters.failing(firing, gain, floor) if self._may_break else firing
+            told[:6], applied[:6] = (
+                _turned_back(each.wrench, rotation) for each in (firing, really)
+            )
+            found = {"thruster_force": really.force, "thruster_open": firing.open_share}
             found["thruster_given"] = firing.given
-            kept |= of_thrusters
-            wanted[0] -= fired[0]
-        elif broken is not None:
-            told = applied.copy()
+            told_units.append(firing.force)
+            wanted[0] -= firing.wrench[:3]
         if wheels is not None:
-            rearranges, rearranging = wheels.rearranges(rearranges, momentum, turning), None
-            if may_be(rearranges):
-                rearranging = np.where(rearranges, wheels.rearranging_torque(momentum), 0.0)
-            torques = wheels.give(wanted[0], momentum, turning, rearranging=rearranging)
-            by_wheels = times(rotation, torques.on_base) + missing
-            if broken is not None:
-                told[:3] = by_wheels + (0.0 if thrusters is None else told[:3])
-                told_units.append(torques.on_wheels)
-                torques = wheels.stopping(torques, broken[-len(wheels.names) :], momentum, turning)
-                by_wheels = times(rotation, torques.on_base) + missing
-            applied[:3] = by_wheels + (0.0 if thrusters is None else applied[:3])
-            found |= {"wheel_momentum": momentum, "wheel_torque": torques.motor}
+            torques, rearranges = self._turn(wheels, wanted[0], memory, turning)
+            stopped = torques
+            if self._may_break:
+                stopped = wheels.stopping(torques, stops, momentum, turning)
+            by_told, by_wheels = (
+                rotation.dot(each.on_base) + missing for each in (torques, stopped)
+            )
+            told[:3] += by_told
+            applied[:3] += by_wheels
+            told_units.append(torques.on_wheels)
+            found |= {"wheel_momentum": momentum, "wheel_torque": stopped.motor}
             found |= {"wheel_unloads": unloads * 1.0, "wheel_reaction": by_wheels}
             # The missing part has already been given, in a held direction.
-            given = told[:3] - missing
-            left = memory["short"] + (commanded[:3] - given) * self.sample_time
+            left = memory["short"] + (commanded[:3] - (told[:3] - missing)) * self.sample_time
             kept["short"] = wheels.bounded(left, _RECOVERY)
-            kept["momentum"] = momentum + torques.on_wheels * self.sample_time
+            kept["momentum"] = momentum + stopped.on_wheels * self.sample_time
             kept["modes"] = np.concatenate([unloads, rearranges]) * 1.0
-        if broken is not None:
+        if self._may_break:
             found |= {"told_force": told, "told_units": np.concatenate(told_units)}
         return {"applied_force": applied, **found}, kept
 
-    def _fire(
+    def _working(
+        self, inputs: Arrays, now: Now
+    ) -> tuple[ThrusterSet | None, WheelSet | None, Sequence[Any]]:
+        """Thrusters and wheels in the allocation, and the effect of faults: gains and floors of
+        thrusters, stopped wheels.
+        """
+        thrusters, wheels = self.thrusters, self.wheels
+        if not self._may_break:
+            return thrusters, wheels, (None, None, None)
+        count = 0 if thrusters is None else len(thrusters.names)
+        gain, floor, stops = np.split(now.phase[1:], [count, 2 * count])
+        isolated = inputs.get("isolated")
+        if isolated is not None and isolated.any():
+            thrusters, wheels, _ = self.without(isolated)
+            is_open = isolated[:count] != LOST  # a shut valve lets nothing through
+            gain, floor = gain * is_open, floor * is_open
+        return thrusters, wheels, (gain, floor, stops)
+
+    def _ask(
         self,
-        thrusters: ThrusterSet,
-        asked: np.ndarray,
+        wheels: WheelSet,
+        wanted: Any,
+        asked: Any,
         memory: Arrays,
-        rotation: np.ndarray,
-        *,
+        rotation: Any,
+        turning: Any,
         begins: Any,
+    ) -> Any:
+        """Add to the wanted torque what wheels recover; of it, request from thrusters what the
+        wheels leave. Return whether thrusters unload the wheels (1).
+        """
+        momentum, was = memory["momentum"], memory["modes"][:1] > 0.0
+        wanted[0] += rotation.T.dot(memory["short"]) / (_RECOVERY * self.sample_time)
+        unloads = choose(begins, lambda: wheels.unloads(was, momentum, turning), was)
+        asked[0] = wheels.assist_torque(wanted[0])
+        if may_be(unloads):
+            asked[0] += np.where(unloads, wheels.unloading_torque(momentum), 0.0)
+        return unloads
+
+    def _turn(
+        self, wheels: WheelSet, torque: Any, memory: Arrays, turning: Any
+    ) -> tuple[WheelTorques, Any]:
+        """The torques of wheels for one on the base (3), and whether motors rearrange momentum."""
+        momentum, rearranging = memory["momentum"], None
+        rearranges = wheels.rearranges(memory["modes"][1:] > 0.0, momentum, turning)
+        if may_be(rearranges):
+            rearranging = np.where(rearranges, wheels.rearranging_torque(momentum), 0.0)
+        return wheels.give(torque, momentum, turning, rearranging=rearranging), rearranges
+
+    def _fire(
+        self, thrusters: ThrusterSet, asked: Any, memory: Arrays, rotation: Any, *, begins: Any
     ) -> tuple[Firing, dict[str, Any]]:
         """Fire thrusters for the requested torque and force (2, 3, the base's axes), with the
         owed impulse; also returns the memory.
@@ -287,24 +268,24 @@ class BaseActuators(Sampled):
         def allocated(before: Arrays, fixed: Arrays) -> Arrays:
             owed, rotation = before["owed"], fixed["rotation"]
             in_base = np.matmul(owed.reshape(asked.shape), rotation)
-            with_owed = fixed["asked"] + in_base / thrusters.frame
-            kept = ThrusterMemory.unpacked(before["fuel"])
-            fuel = thrusters.allocate(with_owed.reshape(owed.shape), kept)
-            left, less = owed, fuel.given < 1.0
+            with_owed = (fixed["asked"] + in_base / thrusters.frame).reshape(owed.shape)
+            after = thrusters.allocate(with_owed, before)
+            left, less = owed, after["given"] < 1.0
             if may_be(less):  # the rest is given up
                 all_owed = _turned_back(with_owed, rotation)
-                rest = (1.0 - fuel.given) * thrusters.frame * all_owed
+                rest = (1.0 - after["given"]) * thrusters.frame * all_owed
                 left = np.where(less, owed - rest, owed)
-            return {"begins": np.zeros(()), "owed": left, "fuel": fuel.packed()}
+            return {**after, "begins": np.zeros(()), "owed": left}
 
-        before = {"begins": begins, "owed": memory["owed"], "fuel": memory["fuel"]}
-        kept = repeated(allocated, before, {"asked": asked, "rotation": rotation}, most=1)
-        owed = kept["owed"]
-        firing, fuel = thrusters.fire(ThrusterMemory.unpacked(kept["fuel"]))
+        names = ("owed", *thrusters.initial_memory())
+        before = {"begins": begins, **{name: memory[name] for name in names}}
+        after = dict(repeated(allocated, before, {"asked": asked, "rotation": rotation}, most=1))
+        owed = after.pop("owed")
+        firing, after = thrusters.fire(after)
         if thrusters.carries_over:
             left = asked - firing.wrench.reshape(asked.shape)
             owed = owed + _turned_back(left, rotation) * self.sample_time
-        return firing, {"owed": owed, "fuel": fuel.packed()}
+        return firing, {"owed": owed, **after}
 
     def without(self, isolated: np.ndarray) -> _Working:
         """Thrusters and wheels (None: none) for the allocation without what is ``isolated``, and
@@ -352,38 +333,6 @@ class BaseActuators(Sampled):
 
 
 def _turned_back(wrench: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Torque and force (2, 3) of the base's axes in the world's, in a row (6)."""
-    in_world: np.ndarray = np.matmul(wrench, rotation.T)
+    """Torque and force (6) of the base's axes in the world's."""
+    in_world: np.ndarray = np.matmul(wrench.reshape(2, 3), rotation.T)
     return in_world.reshape(6)
-
-
-class BaseBlock(CompositeBlock):
-    """Thrusters and wheels with the stored momentum of the wheels.
-
-    Inputs: ``commanded_force`` (nv), and ``state`` [q; v] of the plant. Outputs: those of
-    ``BaseActuators``, ``applied_force`` first; with wheels also those of ``Gyroscopic``.
-    """
-
-    def __init__(self, base: BaseActuators) -> None:
-        super().__init__()
-        builder = DiagramBuilder()
-        system = builder.AddSystem(
-            SampledSystem(base, name="actuators", sample_time=base.sample_time)
-        )
-        outputs = {name: system.GetOutputPort(name) for name in base.outputs}
-        for name in filter(base.inputs.get, ("commanded_force", "state", "isolated")):
-            builder.ExportInput(system.GetInputPort(name), name)
-        if base.wheels is not None:
-            gyroscopic = Gyroscopic(
-                momentum=base.wheels.initial, num_velocities=base.num_velocities
-            )
-            stored = ContinuousSystem(gyroscopic, name="momentum")
-            self._stored = builder.AddNamedSystem("gyroscopic", stored)
-            builder.ConnectInput("state", stored.GetInputPort("state"))
-            builder.Connect(outputs["wheel_reaction"], stored.GetInputPort("wheel_reaction"))
-            outputs |= {name: stored.GetOutputPort(name) for name in gyroscopic.outputs}
-            momentum = outputs["stored_momentum"]
-            builder.Connect(momentum, system.GetInputPort("stored_momentum"))
-        for name, port in outputs.items():
-            builder.ExportOutput(port, name)
-        builder.BuildInto(self)

@@ -7,10 +7,10 @@ import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pydrake.systems.framework import DiagramBuilder, InputPort, System
+from pydrake.systems.framework import DiagramBuilder, OutputPort, System
 from pydrake.systems.primitives import DiscreteTimeDelay, PassThrough, Saturation
 
-from ffsm_drake.plugins.actuators.base import BaseActuators, BaseBlock, Hit
+from ffsm_drake.plugins.actuators.base import BaseActuators, Hit
 from ffsm_drake.plugins.actuators.drives import FRICTION, DriveSet, JointFriction, RateLimit
 from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
@@ -28,31 +28,33 @@ from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 class Actuators(CompositeBlock):
     """Systems in a row from ``commanded_force`` to ``applied_force``, and some beside them.
 
-    The first ports of those in the row are forces; what else they and the others put out are
-    outputs, by name, and all may read ``state``.
+    The first ports of those in the row are forces. Other ports are connected by name: what one
+    puts out is an output, and input of others; ``state`` and ``isolated`` are inputs.
     """
 
     def __init__(self, row: Mapping[str, System], beside: Mapping[str, System]) -> None:
         super().__init__()
-        builder, chain = DiagramBuilder(), list(row.values())
-        readers = list[InputPort]()
+        builder, chain, outputs = DiagramBuilder(), list(row.values()), dict[str, OutputPort]()
         for name, system in (*row.items(), *beside.items()):
             builder.AddNamedSystem(name, system)
             for index in range(int(name in row), system.num_output_ports()):
                 port = system.get_output_port(index)
+                outputs[port.get_name()] = port
                 builder.ExportOutput(port, port.get_name())
-            if system.HasInputPort("state"):
-                readers.append(system.GetInputPort("state"))
-            if system.HasInputPort("isolated"):
-                builder.ExportInput(system.GetInputPort("isolated"), "isolated")
         for before, after in itertools.pairwise(chain):
             builder.Connect(before.get_output_port(0), after.get_input_port(0))
         builder.ExportInput(chain[0].get_input_port(0), "commanded_force")
         builder.ExportOutput(chain[-1].get_output_port(0), "applied_force")
-        for port in readers[:1]:
-            builder.ExportInput(port, "state")
-        for port in readers[1:]:
-            builder.ConnectInput("state", port)
+        systems = [*chain, *beside.values()]
+        for name in ("state", "isolated", *outputs):
+            ports = [each.GetInputPort(name) for each in systems if each.HasInputPort(name)]
+            if ports and name not in outputs:
+                builder.ExportInput(ports.pop(0), name)
+            for port in ports:
+                if name in outputs:
+                    builder.Connect(outputs[name], port)
+                else:
+                    builder.ConnectInput(name, port)
         builder.BuildInto(self)
         self.set_name("actuation")
 
@@ -102,23 +104,13 @@ def make_actuation(
       ScenarioError: a value is given for an unknown coordinate; thrusters or wheels cannot give
         every wrench.
     """
-    row, beside = _make_limits(settings, coordinates, sample_time=sample_time), dict[str, System]()
-    acting, flowing = _acting(
-        settings,
-        coordinates,
-        sample_time,
-        faults=faults,
-        detects=detects,
-        has_base=base is not None,
-    )
-    for block in acting:
-        if isinstance(block, BaseActuators):
-            row["base"] = BaseBlock(block)
-        else:
-            row["rate_limit"] = SampledSystem(block, name="rate_limit", sample_time=sample_time)
-    for each in flowing:
-        if isinstance(each, JointFriction):
-            beside["friction"] = ContinuousSystem(each, name=FRICTION)
+    row, own = _make_limits(settings, coordinates, sample_time=sample_time), settings
+    if base is not None:
+        own = dataclasses.replace(settings, thrusters=None, wheels=None)
+    acting, flowing = _acting(own, coordinates, sample_time, faults=faults, detects=detects)
+    for name, block in acting.items():
+        row[name] = SampledSystem(block, name=name, sample_time=sample_time)
+    beside = {name: ContinuousSystem(each, name=name) for name, each in flowing.items()}
     if base is not None:
         row["base"] = base
     if beside and not row:
@@ -133,25 +125,24 @@ def _acting(
     *,
     faults: Sequence[Hit] = (),
     detects: bool = False,
-    has_base: bool = False,
-) -> tuple[list[Sampled], list[Continuous]]:
-    """The blocks in a row after saturation, quantisation and delay, and those beside them; without
-    thrusters and wheels if there ``has_base`` another block in their place.
+) -> tuple[dict[str, Sampled], dict[str, Continuous]]:
+    """The blocks in a row after saturation, quantisation and delay, and those beside them, by
+    name.
     """
-    row, beside, nv = list[Sampled](), list[Continuous](), len(coordinates.names)
+    row, beside = dict[str, Sampled](), dict[str, Continuous]()
+    nv = len(coordinates.names)
     if settings.drives is not None:
         drives = DriveSet(settings.drives, settings.limit, coordinates)
         if drives.has_rate_limit:
-            row.append(RateLimit(drives=drives, num_velocities=nv))
+            row["rate_limit"] = RateLimit(drives=drives, num_velocities=nv)
         if drives.has_friction:
-            beside.append(JointFriction(drives=drives, num_velocities=nv))
-    if not has_base and (settings.thrusters is not None or settings.wheels is not None):
-        base = make_base_actuators(
+            beside[FRICTION] = JointFriction(drives=drives, num_velocities=nv)
+    if settings.thrusters is not None or settings.wheels is not None:
+        row["actuators"] = base = make_base_actuators(
             settings, coordinates, sample_time=sample_time, faults=faults, detects=detects
         )
-        row.append(base)
         if base.wheels is not None:
-            beside.append(Gyroscopic(momentum=base.wheels.initial, num_velocities=nv))
+            beside["momentum"] = Gyroscopic(momentum=base.wheels.initial, num_velocities=nv)
     return row, beside
 
 
@@ -161,10 +152,11 @@ def acting_blocks(
     """Return the blocks of a scenario's actuators in a row, after saturation, quantisation and
     delay, and those beside them. Raises the errors of ``make_actuation``.
     """
-    return _acting(
+    row, beside = _acting(
         allocated(scenario), coordinates, scenario.sample_time, faults=_faults(scenario),
         detects=detects(scenario),
     )  # fmt: skip
+    return [*row.values()], [*beside.values()]
 
 
 def _faults(scenario: Scenario) -> list[Hit]:

@@ -12,7 +12,6 @@ from ffsm_drake.common.choice import may_be
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import counted, percent, short
-from ffsm_drake.common.products import times
 from ffsm_drake.plugins.actuators.allocation import Allocation
 from ffsm_drake.plugins.actuators.modulation import (
     SchmittTrigger,
@@ -38,6 +37,7 @@ from ffsm_drake.systems.part import (
     by_key,
     pulses_of,
 )
+from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.setup import BlockSetup
 
 _KEY = "actuation.thrusters"
@@ -47,7 +47,7 @@ _WHOLE = 1.0 - 1e-9  # the part of a wrench that counts as all of it
 
 
 class Firing(NamedTuple):
-    """Output of thrusters in one control sample; for one spacecraft, or for several in rows."""
+    """Output of thrusters in one control sample."""
 
     # (6) its mean on the base, torque then force in the base's axes; N m and N
     wrench: np.ndarray
@@ -56,29 +56,6 @@ class Firing(NamedTuple):
     # (1) the part of the commanded wrench that the last allocation could give, 0 to 1
     given: np.ndarray
     level: np.ndarray  # (n) the same force as a share of each thruster's, if it works
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class ThrusterMemory:
-    """Memory of the thrusters between samples; all (n) except ``given`` (1)."""
-
-    open_for: np.ndarray  # s; for how long from now on each is open
-    level: np.ndarray  # share of its force that each gives now
-    wanted: np.ndarray  # N; forces of the last allocation
-    filtered: np.ndarray  # filter output of the Schmitt triggers
-    is_on: np.ndarray  # likewise; 1 or 0
-    given: np.ndarray  # given part of the last allocation
-
-    def packed(self) -> np.ndarray:
-        return np.concatenate([*(getattr(self, name) for name in _PACKED)])
-
-    @classmethod
-    def unpacked(cls, values: np.ndarray) -> "ThrusterMemory":
-        n = values.size // (len(_PACKED) - 1)
-        return cls(*(values[i * n : (i + 1) * n] for i in range(len(_PACKED))))
-
-
-_PACKED = ("open_for", "level", "wanted", "filtered", "is_on", "given")
 
 
 def gains_and_floors(
@@ -159,10 +136,16 @@ class ThrusterSet:
         """
         return self.settings.modulator != "pwpf"
 
-    def initial_memory(self) -> ThrusterMemory:
-        """Closed, but for what is stuck on."""
+    def initial_memory(self) -> dict[str, np.ndarray]:
+        """Memory between samples, of closed thrusters but for what is stuck on.
+
+        By thruster (n): for how long from now on each is open, s; the share of its force that it
+        gives now; forces of the last allocation, N; output of the filter of its Schmitt trigger,
+        and whether that is on (1 or 0). The part of the wrench given by the last allocation (1).
+        """
         none = np.zeros(len(self.names))
-        return ThrusterMemory(none, self._stuck_on.astype(float), none, none, none, np.ones(1))
+        closed = dict.fromkeys(("open_for", "wanted", "filtered", "is_on"), none)
+        return {**closed, "level": self._stuck_on.astype(float), "given": np.ones(1)}
 
     def most(self, direction: np.ndarray) -> float:
         """The largest multiple of a wrench (6; base's axes, N m and N) that they give."""
@@ -180,7 +163,7 @@ class ThrusterSet:
             for kind, own, other in (("torque", torques, forces), ("force", forces, torques))
         }
 
-    def allocate(self, wrench: np.ndarray, memory: ThrusterMemory) -> ThrusterMemory:
+    def allocate(self, wrench: np.ndarray, memory: Arrays) -> Arrays:
         """The start of a frame: memory with the opening times for a commanded wrench (6; base's
         axes, N m and N).
 
@@ -193,12 +176,11 @@ class ThrusterSet:
         given = np.expand_dims(part, -1)
         wanted = np.zeros_like(forces, shape=(len(self.names),))
         wanted[self._works] = forces
-        open_for = np.maximum(memory.open_for, self._opened(wanted))
+        open_for = np.maximum(memory["open_for"], self._opened(wanted))
+        found = {"wanted": wanted, "given": given, "open_for": open_for}
         if not all_known:
-            wanted, given, open_for = (
-                np.where(known, values, np.nan) for values in (wanted, given, open_for)
-            )
-        return dataclasses.replace(memory, wanted=wanted, given=given, open_for=open_for)
+            found = {name: np.where(known, values, np.nan) for name, values in found.items()}
+        return {**memory, **found}
 
     def _opened(self, wanted: np.ndarray) -> np.ndarray:
         """For how long (n), s, commanded forces (n), N, open at the start of a frame."""
@@ -209,18 +191,18 @@ class ThrusterSet:
             return whole_frames(share, frame=self.frame, threshold=settings.threshold)
         return pulse_widths(share, frame=self.frame, minimum=settings.minimum_on_time)
 
-    def fire(self, memory: ThrusterMemory) -> tuple[Firing, ThrusterMemory]:
+    def fire(self, memory: Arrays) -> tuple[Firing, Arrays]:
         """One control sample, from the memory at its start, after any allocation."""
-        filtered, is_on, open_for = memory.filtered, memory.is_on, memory.open_for
+        filtered, is_on, open_for = memory["filtered"], memory["is_on"], memory["open_for"]
         if not self.carries_over:
-            filtered, is_on = self._trigger.step(memory.wanted / self.force, filtered, is_on)
+            filtered, is_on = self._trigger.step(memory["wanted"] / self.force, filtered, is_on)
             # for the rest of a pulse, or a new
-            least = np.where(memory.is_on > 0.0, self.sample_time, self._shortest)
+            least = np.where(memory["is_on"] > 0.0, self.sample_time, self._shortest)
             open_for = np.maximum(open_for, is_on * least)
         opened = np.minimum(open_for, self.sample_time)
         opened[self._stuck_on] = self.sample_time
         share, level = mean_level(
-            memory.level,
+            memory["level"],
             opened,
             sample_time=self.sample_time,
             rise=self.settings.rise_time,
@@ -230,12 +212,17 @@ class ThrusterSet:
         # A remainder from rounding would be a pulse of its own.
         left = open_for - opened
         left[left < 1e-9 * self.sample_time] = 0.0
-        after = dataclasses.replace(
-            memory, open_for=left, level=level, filtered=filtered, is_on=(opened > 0.0) * 1.0
+        firing = Firing(
+            self.wrenches.dot(force), force, opened / self.sample_time, memory["given"], share
         )
-        return Firing(
-            times(self.wrenches, force), force, opened / self.sample_time, memory.given, share
-        ), after
+        is_on = (opened > 0.0) * 1.0
+        after = {"open_for": left, "level": level, "filtered": filtered, "is_on": is_on}
+        return firing, {**memory, **after}
+
+    def failing(self, firing: Firing, gain: np.ndarray, floor: np.ndarray) -> Firing:
+        """The output with a factor on each force, and a least share of it (n)."""
+        force = np.maximum(gain * firing.level, floor) * self.force
+        return firing._replace(force=force, wrench=self.wrenches.dot(force))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
