@@ -115,15 +115,13 @@ class DriveSet:
         """Whether any joint has."""
         return bool(np.isfinite(self.rate_limit).any())
 
-    def friction(self, rate: np.ndarray) -> np.ndarray:
+    def friction(self, rate: Any) -> Any:
         """The force of friction at joint rates (..., n), N m or N."""
-        stribeck = (self.static - self.coulomb) * np.exp(-((rate / self.stribeck_rate) ** 2))
-        return -(
-            (self.coulomb + stribeck) * np.tanh(rate / self.smoothing_rate) + self.viscous * rate
-        )
+        parts = (self._friction_of(i, rate[..., i]) for i in range(len(self.names)))
+        return np.stack([*parts], axis=-1)
 
-    def friction_of(self, i: int, rate: Any) -> Any:
-        """``friction`` of joint i at its rate (1), without the cost of unused terms."""
+    def _friction_of(self, i: int, rate: Any) -> Any:
+        """The friction of joint i at its rate, without the cost of unused terms."""
         dry: Any = self.coulomb[i]
         if self.static[i] > self.coulomb[i]:
             slow = rate * (1.0 / self.stribeck_rate[i])
@@ -202,9 +200,8 @@ class RateLimit(Sampled):
 
     def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
         """See Sampled."""
-        force = inputs["force"].copy()
-        joints = force[..., NUM_BASE_VELOCITIES:]
-        force[..., NUM_BASE_VELOCITIES:] = self.drives.give(joints, inputs["state"])
+        force, joints = inputs["force"].copy(), slice(NUM_BASE_VELOCITIES, None)
+        force[joints] = self.drives.give(force[joints], inputs["state"])
         return {"limited": force}, memory
 
 
@@ -242,8 +239,7 @@ class JointFriction(Continuous):
     def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
         """See Continuous."""
         rates, base = inputs["state"], np.zeros(NUM_BASE_VELOCITIES)
-        parts = [self.drives.friction_of(i, rates[i : i + 1]) for i in range(len(rates))]
-        force = np.concatenate(parts)
+        force = self.drives.friction(rates)
         found = {
             FRICTION_FORCE: np.concatenate([base, force]),
             FRICTION_WORK: np.concatenate([base, state[FRICTION_WORK]]),

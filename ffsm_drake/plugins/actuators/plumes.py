@@ -1,16 +1,17 @@
 """The plumes of a scenario's thrusters, as a force in the closed loop."""
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
-from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.numbers import percent, usable
 from ffsm_drake.plugins.actuators.plume import PlumeField, returned_shares
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION
 from ffsm_drake.systems.part import HELD_FORCE, STEPS, Figure, Metric, Part, Signal, View
+from ffsm_drake.systems.sampled import Arrays, Now, Sampled, SampledSystem
 from ffsm_drake.systems.setup import BlockSetup
 
 _TELLING = 0.05  # share of its thrust from which a thruster's plume is reported
@@ -29,9 +30,23 @@ class Plumes(Part):
         settings = scenario.actuation.thrusters
         return None if settings is None or settings.plume is None else cls()
 
-    def build(self, setup: BlockSetup) -> LeafSystem:
+    def build(self, setup: BlockSetup) -> SampledSystem:
         """The force."""
-        return _PlumeForce(setup)
+        scenario, settings = setup.scenario, setup.scenario.actuation.thrusters
+        assert settings is not None
+        assert settings.plume is not None
+        units = [*thrusters_of(settings).values()]
+        field = PlumeField(
+            settings.plume,
+            units,
+            setup.true,
+            scenario.model,
+            without=None if setup.grip.holds else scenario.payload.body,
+        )
+        force = PlumeForce(
+            field=field, num_velocities=len(setup.coordinates.names), num_thrusters=len(units)
+        )
+        return SampledSystem(force, name=setup.name, sample_time=setup.sample_time)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """The generalized force of all plumes."""
@@ -87,59 +102,45 @@ class Plumes(Part):
         return f"plumes return thrust: {named}; set actuation.thrusters.plume.ban to exclude them"
 
 
-class _PlumeForce(LeafSystem):
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PlumeForce(Sampled):
     """The force of the plumes, from the thrusters' mean force in a control sample and the
     configuration at its start.
 
     Inputs: ``state`` (nq + nv), ``thruster_force`` (n); unconnected, as in linear loops, the force
-    is 0. State (discrete): the configuration (nq). Outputs, equal: ``generalized_force`` (nv),
-    ``plume_force`` (nv); they change once a sample.
+    is 0. Outputs, equal: ``generalized_force`` (nv), ``plume_force`` (nv).
     """
 
-    def __init__(self, setup: BlockSetup) -> None:
-        super().__init__()
-        scenario, coordinates = setup.scenario, setup.coordinates
-        settings = scenario.actuation.thrusters
-        assert settings is not None
-        assert settings.plume is not None
-        units = thrusters_of(settings)
-        model = setup.true
-        self._field = PlumeField(
-            settings.plume,
-            [*units.values()],
-            model,
-            scenario.model,
-            without=None if setup.grip.holds else scenario.payload.body,
-        )
-        self._nq, nv = len(coordinates.position_names), len(coordinates.names)
-        self._state = self.DeclareVectorInputPort("state", self._nq + nv)
-        self._thrust = self.DeclareVectorInputPort("thruster_force", len(units))
-        self._held = self.DeclareDiscreteState(self._nq)
-        self._last = b"", np.zeros(nv)  # a cache: evaluated in every stage of the integrator
-        changes = {
-            self.discrete_state_ticket(self._held),
-            self.input_port_ticket(self._thrust.get_index()),
-        }
-        for name in ("generalized_force", "plume_force"):
-            self.DeclareVectorOutputPort(name, nv, weak_callback(self._calc), changes)
-        self.DeclarePeriodicDiscreteUpdateEvent(setup.sample_time, 0.0, weak_callback(self._hold))
-        untie(self)
+    field: PlumeField
+    num_velocities: int
+    num_thrusters: int
+    acts = True
+    optional: ClassVar = ("thruster_force",)
 
-    def set_initial_state(self, context: Context, state: np.ndarray) -> None:
-        """Begin at a known state [q; v] (nq + nv) of the plant."""
-        context.SetDiscreteState(self._held, state[: self._nq])
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        return {"state": 2 * self.num_velocities + 1, "thruster_force": self.num_thrusters}
 
-    def _hold(self, context: Context, new: DiscreteValues) -> None:
-        new.set_value(self._held, self._state.Eval(context)[: self._nq])
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        return dict.fromkeys(("generalized_force", "plume_force"), self.num_velocities)
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        q, thrust = context.get_discrete_state().value(self._held), np.zeros(0)
-        if self._thrust.HasValue(context):
-            thrust = self._thrust.Eval(context)
-        if not (usable(q[None])[0] and thrust.any()):
-            output.SetFromVector(np.zeros(output.size()))
-            return
-        key = q.tobytes() + thrust.tobytes()
-        if self._last[0] != key:
-            self._last = key, self._field.calc(q, thrust)[0]
-        output.SetFromVector(self._last[1])
+    @property
+    def latched(self) -> Mapping[str, Sequence[float]]:
+        """See Sampled."""
+        return {"state": [0.0] * len(self.entries["state"])}
+
+    @property
+    def entries(self) -> Mapping[str, Sequence[int]]:
+        """See Sampled: the configuration."""
+        return {"state": range(self.num_velocities + 1)}
+
+    def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
+        """See Sampled."""
+        q, thrust = inputs["state"], inputs.get("thruster_force", np.zeros(0))
+        force = np.zeros(self.num_velocities)
+        if usable(q[None])[0] and thrust.any():
+            force, _ = self.field.calc(q, thrust)
+        return dict.fromkeys(self.outputs, force), memory

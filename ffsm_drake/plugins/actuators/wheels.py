@@ -14,12 +14,13 @@ remove the rest (A h).
 import dataclasses
 import functools
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.numbers import percent, short
-from ffsm_drake.common.products import length, times
+from ffsm_drake.common.products import length
 from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.plugins.actuators.attitude import attitude_ahead
 from ffsm_drake.scenario import Scenario, Wheels
@@ -53,11 +54,11 @@ _REARRANGED = 0.02  # share of the speed limit; motors leave a smaller internal 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class WheelTorques:
-    """Output of wheels in one control sample; for one spacecraft, or for several in rows."""
+    """Output of wheels in one control sample."""
 
-    motor: np.ndarray  # (..., n) torque of each motor, N m
-    on_wheels: np.ndarray  # (..., n) torque of motor and friction on each, N m
-    on_base: np.ndarray  # (..., 3) in the base's axes, without the gyroscopic torque, N m
+    motor: np.ndarray  # (n) torque of each motor, N m
+    on_wheels: np.ndarray  # (n) torque of motor and friction on each, N m
+    on_base: np.ndarray  # (3) in the base's axes, without the gyroscopic torque, N m
 
 
 class WheelSet:
@@ -121,10 +122,10 @@ class WheelSet:
         return repr((self.settings, self._sample_time, self._share.tolist()))
 
     def speed(self, momentum: np.ndarray, angular_velocity: np.ndarray) -> np.ndarray:
-        """Speeds (..., n, rad/s) relative to the base, from momenta (..., n, N m s) and w_WB in the
-        base's axes (..., 3, rad/s).
+        """Speeds (n, rad/s) relative to the base, from momenta (n, N m s) and w_WB in the base's
+        axes (3, rad/s).
         """
-        return momentum / self.inertia - times(self.axes.T, angular_velocity)
+        return momentum / self.inertia - self.axes.T.dot(angular_velocity)
 
     def give(
         self,
@@ -134,16 +135,16 @@ class WheelSet:
         *,
         rearranging: np.ndarray | None = None,
     ) -> WheelTorques:
-        """The torques nearest to a wanted one on the base (..., 3, base's axes) within the wheels'
+        """The torques nearest to a wanted one on the base (3, base's axes) within the wheels'
         limits.
 
         Above the motors' limits it is scaled; a wheel at its speed limit is not accelerated. What
-        room is left is for torques of the motors ``rearranging`` (..., n) that the base does not
+        room is left is for torques of the motors ``rearranging`` (n) that the base does not
         feel.
         """
-        motor = -times(self._share, torque)
+        motor = -self._share.dot(torque)
         motor = motor / np.maximum(1.0, self._loads(motor))
-        carried = self.inertia * times(self.axes.T, angular_velocity)
+        carried = self.inertia * self.axes.T.dot(angular_velocity)
         most = self.inertia * self._speed
         lower = (carried - most - momentum) / self._sample_time
         upper = (carried + most - momentum) / self._sample_time
@@ -154,10 +155,10 @@ class WheelSet:
             )
             with np.errstate(divide="ignore", invalid="ignore"):
                 room = np.where(rearranging == 0.0, np.inf, (ahead - motor) / rearranging)
-            motor = motor + np.clip(room.min(axis=-1, keepdims=True), 0.0, 1.0) * rearranging
+            motor = motor + np.clip(room.min(), 0.0, 1.0) * rearranging
         speed = self.speed(momentum, angular_velocity)
         on_wheels = motor - self._coulomb * np.tanh(speed / _FADES_BELOW) - self._viscous * speed
-        return WheelTorques(motor=motor, on_wheels=on_wheels, on_base=-times(self.axes, on_wheels))
+        return WheelTorques(motor=motor, on_wheels=on_wheels, on_base=-self.axes.dot(on_wheels))
 
     def stopping(
         self,
@@ -173,12 +174,11 @@ class WheelSet:
         brake = -np.clip(spin / self._sample_time, -self._torque, self._torque)
         on_wheels = np.where(stops > 0.0, brake, torques.on_wheels)
         motor = np.where(stops > 0.0, 0.0, torques.motor)
-        return WheelTorques(motor=motor, on_wheels=on_wheels, on_base=-times(self.axes, on_wheels))
+        return WheelTorques(motor=motor, on_wheels=on_wheels, on_base=-self.axes.dot(on_wheels))
 
-    def _loads(self, motor: np.ndarray) -> np.ndarray:
-        """The largest share (..., 1) of a motor's limit among torques of motors (..., n), N m."""
-        loads: np.ndarray = (np.abs(motor) / self._torque).max(axis=-1, keepdims=True)
-        return loads
+    def _loads(self, motor: np.ndarray) -> Any:
+        """The largest share of a motor's limit among torques of motors (n), N m."""
+        return (np.abs(motor) / self._torque).max()
 
     @property
     def reach(self) -> np.ndarray:
@@ -189,7 +189,7 @@ class WheelSet:
         """The largest multiple of a torque (3; base's axes, N m) within the motors' limits, without
         its part about axes left to thrusters; infinite if nothing remains.
         """
-        used = float((np.abs(self._share.dot(direction)) / self._torque).max())
+        used = float(self._loads(self._share.dot(direction)))
         return 1.0 / used if used > _LEAST * float(np.linalg.norm(direction)) else np.inf
 
     @property
@@ -234,23 +234,20 @@ class WheelSet:
         return max(0.0, float((room / np.linalg.norm(self._share, axis=1)).min()))
 
     def assist_torque(self, torque: np.ndarray) -> np.ndarray:
-        """The part of a commanded torque on the base (..., 3, base's axes, N m) requested from
+        """The part of a commanded torque on the base (3, base's axes, N m) requested from
         thrusters: axes not covered by wheels, and the excess defined by ``assist_above``.
         """
+        lost = np.zeros_like(torque)
         if len(self._lost):
-            lost = times(self._lost.T, times(self._lost, torque))
-            return lost + self._beyond(torque - lost)
-        return self._beyond(torque)
-
-    def _beyond(self, torque: np.ndarray) -> np.ndarray:
-        """The part of a feasible torque left to thrusters by ``assist_above``."""
+            lost = self._lost.T.dot(self._lost.dot(torque))
         if self.settings.assist_above is None:
-            return np.zeros_like(torque)
-        share = self.settings.assist_above / (self._loads(times(self._share, torque)) + _LEAST)
-        return np.maximum(0.0, 1.0 - share) * torque
+            return lost
+        feasible = torque - lost
+        share = self.settings.assist_above / (self._loads(self._share.dot(feasible)) + _LEAST)
+        return lost + np.maximum(0.0, 1.0 - share) * feasible
 
     def bounded(self, impulse: np.ndarray, samples: int) -> np.ndarray:
-        """An impulse of torque (..., 3, N m s), cut to twice what the weakest motor gives in some
+        """An impulse of torque (3, N m s), cut to twice what the weakest motor gives in some
         control samples.
         """
         most = 2.0 * samples * self._sample_time * self._torque.min()
@@ -259,42 +256,39 @@ class WheelSet:
     def unloads(
         self, was: np.ndarray | bool, momentum: np.ndarray, angular_velocity: np.ndarray
     ) -> np.ndarray:
-        """Whether (..., 1) thrusters are to unload the wheels, by what they do not hold against
+        """Whether (1) thrusters are to unload the wheels, by what they do not hold against
         each other, with hysteresis; ``was``: whether they were.
         """
-        fullest = self._fullest(momentum - times(self._opposed, momentum), angular_velocity)
+        fullest = self._fullest(momentum - self._opposed.dot(momentum), angular_velocity)
         below, above = self.settings.desaturate_below, self.settings.desaturate_above
         return fullest > np.where(was, below, above)
 
     def rearranges(
         self, was: np.ndarray | bool, momentum: np.ndarray, angular_velocity: np.ndarray
     ) -> np.ndarray:
-        """Whether (..., 1) motors are to remove momentum held by wheels against each other; with
+        """Whether (1) motors are to remove momentum held by wheels against each other; with
         hysteresis, until none is left.
         """
-        opposed = times(self._opposed, momentum) / self._most_momentum
-        left = np.abs(opposed).max(axis=-1, keepdims=True)
+        left = np.abs(self._opposed.dot(momentum) / self._most_momentum).max()
         below, above = self.settings.desaturate_below, self.settings.desaturate_above
         full = self._fullest(momentum, angular_velocity) > np.where(was, below, above)
         return full & (left > np.where(was, 1.0, 2.0) * _REARRANGED)
 
-    def _fullest(self, momentum: np.ndarray, angular_velocity: np.ndarray) -> np.ndarray:
-        """The largest share (..., 1) of a speed limit."""
-        speeds = np.abs(self.speed(momentum, angular_velocity))
-        fullest: np.ndarray = (speeds / self._speed).max(axis=-1, keepdims=True)
-        return fullest
+    def _fullest(self, momentum: np.ndarray, angular_velocity: np.ndarray) -> Any:
+        """The largest share of a speed limit."""
+        return (np.abs(self.speed(momentum, angular_velocity)) / self._speed).max()
 
     def unloading_torque(self, momentum: np.ndarray) -> np.ndarray:
-        """Torque on the base (..., 3, base's axes) for thrusters, to make the opposing wheels lose
+        """Torque on the base (3, base's axes) for thrusters, to make the opposing wheels lose
         momentum.
         """
-        torque = -times(self.axes, momentum) / self.settings.desaturation_time
-        largest = self._loads(times(self._share, torque)) / _UNLOADING
+        torque = -self.axes.dot(momentum) / self.settings.desaturation_time
+        largest = self._loads(self._share.dot(torque)) / _UNLOADING
         return torque / np.maximum(1.0, largest)
 
     def rearranging_torque(self, momentum: np.ndarray) -> np.ndarray:
-        """Motor torques (..., n) that remove the momentum held by wheels against each other."""
-        motor = -times(self._opposed, momentum) / self.settings.desaturation_time
+        """Motor torques (n) that remove the momentum held by wheels against each other."""
+        motor = -self._opposed.dot(momentum) / self.settings.desaturation_time
         return motor / np.maximum(1.0, self._loads(motor) / _UNLOADING)
 
 
@@ -334,7 +328,7 @@ class Gyroscopic(Continuous):
         if state is None:
             return {"stored_momentum": self.momentum}
         rotation = attitude_ahead(state[:4], np.zeros(3), 0.0).reshape(3, 3)
-        return {"stored_momentum": times(rotation, self.momentum)}
+        return {"stored_momentum": rotation.dot(self.momentum)}
 
     def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
         """See Continuous."""

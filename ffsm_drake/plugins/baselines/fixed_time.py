@@ -55,17 +55,6 @@ class FixedTime(InjectedDynamics):
     def initial_state(self) -> State:
         return {"sliding_variable": np.zeros_like(self.a_1)}
 
-    @property
-    def settling_time(self) -> np.ndarray:
-        """Bound (nv), s, on the time from any start to the boundary layers, without Ntilde.
-
-        Outside its layer a regularised power is at least 2^((p-1)/2) of the power.
-        """
-        near, far = 2.0 ** (0.5 * (1.0 - self.power)) / (1.0 - self.power), self.far_power - 1.0
-        reaching = near / self.a_2 + 1.0 / (self.b_2 * far)
-        bound: np.ndarray = reaching + near / self.a_1 + 1.0 / (self.b_1 * far)
-        return bound
-
     def step(
         self, e: np.ndarray, e_dot: np.ndarray, a_d: np.ndarray, state: State
     ) -> tuple[np.ndarray, State]:

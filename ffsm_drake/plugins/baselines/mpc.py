@@ -31,13 +31,14 @@ from typing import ClassVar, Self
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.solvers import ClarabelSolver, MathematicalProgram, SolverOptions
 from pydrake.systems.controllers import DiscreteTimeLinearQuadraticRegulator
 from scipy.optimize import nnls
 
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.limits import FORCE, RATE, Limit, tightest, urdf_limits
+from ffsm_drake.spacecraft.limits import FORCE, RATE, tightest
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.estimation import Estimator, make_estimator
 from ffsm_drake.systems.controllers.law import (
@@ -48,6 +49,7 @@ from ffsm_drake.systems.controllers.law import (
     gain,
 )
 from ffsm_drake.systems.controllers.time_delay import after_grasp
+from ffsm_drake.systems.limits import joint_limits
 from ffsm_drake.systems.setup import BlockSetup
 
 _SLACK = 1e6  # cost of exceeding a limit after the first step by the limit itself
@@ -69,22 +71,16 @@ class Limits:
     jets: np.ndarray
 
     @classmethod
-    def of(cls, scenario: Scenario, coordinates: Coordinates, urdf: list[Limit]) -> Self:
+    def of(cls, scenario: Scenario, plant: MultibodyPlant, coordinates: Coordinates) -> Self:
         """The limits of a scenario: ``actuation.limit``, drives, URDFs, wheels."""
-        limit, drives, wheels = scenario.actuation.limit, scenario.drives, scenario.wheels
-        size = len(coordinates.names)
-        force, rate = np.full((2, size), np.inf)
-        if limit is not None:
-            force = coordinates.vector(limit, key="actuation.limit", default=np.inf)
-        if drives is not None and drives.rate_limit is not None:
-            key = "actuation.drives.rate_limit"
-            joints = coordinates.joint_vector(drives.rate_limit, key=key, default=np.inf)
-            rate = np.concatenate([np.full(size - joints.size, np.inf), joints])
+        limit, wheels = scenario.actuation.limit or {}, scenario.wheels
+        force = coordinates.vector(limit, key="actuation.limit", default=np.inf)
+        of_joints = joint_limits(scenario, plant)
         units = () if wheels is None else tuple(wheels.units.values())
         axes = np.array([np.divide(unit.axis, np.linalg.norm(unit.axis)) for unit in units])
         return cls(
-            force=np.minimum(force, tightest(urdf, FORCE).upper),
-            rate=np.minimum(rate, tightest(urdf, RATE).upper),
+            force=np.minimum(force, tightest(of_joints, FORCE).upper),
+            rate=tightest(of_joints, RATE).upper,
             share=-np.linalg.pinv(axes.reshape(-1, 3).T),
             torque=np.array([unit.torque_limit for unit in units]),
             momentum=np.array([unit.inertia * unit.speed_limit for unit in units]),
@@ -375,7 +371,6 @@ class Mpc(ControlLaw):
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> Self:
         """See ControlLaw. Raises ModelError also: a URDF's limits cannot be read."""
-        urdf = urdf_limits(setup.scenario.model, setup.nominal.plant)
-        limits = Limits.of(setup.scenario, setup.coordinates, urdf)
+        limits = Limits.of(setup.scenario, setup.nominal.plant, setup.coordinates)
         estimator = make_estimator(setup.scenario, setup.coordinates, grip=setup.grip)
         return cls(**field_values(cls, setup, limits=limits, estimator=estimator))

@@ -1,7 +1,6 @@
 """A scenario's capture: motion of target and servicer before the grasp, and velocities after it."""
 
-import dataclasses
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
@@ -10,7 +9,7 @@ from pydrake.multibody.tree import Frame, RigidBody
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.plugins import service
-from ffsm_drake.common.so3 import quaternion_of
+from ffsm_drake.common.so3 import quaternion_of, skew
 from ffsm_drake.plugins.capture.compliant import compliant_grasp
 from ffsm_drake.plugins.capture.free_body import FINE_TURN, Target, path_of
 from ffsm_drake.plugins.capture.plastic import plastic_grasp
@@ -19,11 +18,7 @@ from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.scenario.contacts import closing_contacts
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
-from ffsm_drake.spacecraft.grasp import (
-    CompliantGrasp,
-    Contact,
-    shift_moment,
-)
+from ffsm_drake.spacecraft.grasp import CompliantGrasp, Contact, shift_moment
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame, hand_frame
@@ -158,18 +153,17 @@ def contact_at(
     X_WP = body.EvalPoseInWorld(context)
     inertia = body.CalcSpatialInertiaInBodyFrame(context).ReExpress(X_WP.rotation())
     known = model.split.known_velocities(np.arange(velocity.size))
-    situation = _Situation(
-        mass_matrix=mass_matrix,
-        jacobian=model.calc_jacobian(q, body.body_frame()),
-        target_inertia=inertia.CopyToFullMatrix6(),
-        velocity=velocity,
-        target_velocity=target_velocity,
-        braked=known[NUM_BASE_VELOCITIES:].tolist() if capture.joints == "braked" else (),
-        constraints=closed_chain(scenario, model, q, stays=True)[1]
-        if len(scenario.contacts) > 1
-        else None,
-    )
-    grasp = plastic_grasp(**vars(situation))
+    several = len(scenario.contacts) > 1
+    situation = {
+        "mass_matrix": mass_matrix,
+        "jacobian": model.calc_jacobian(q, body.body_frame()),
+        "target_inertia": inertia.CopyToFullMatrix6(),
+        "velocity": velocity,
+        "target_velocity": target_velocity,
+        "braked": known[NUM_BASE_VELOCITIES:].tolist() if capture.joints == "braked" else (),
+    }
+    loops = closed_chain(scenario, model, q, stays=True)[1] if several else None
+    grasp = plastic_grasp(**situation, constraints=loops)
     hand = hand_frame(plant, scenario.model)
     p_PE_W = hand.CalcPoseInWorld(context).translation() - X_WP.translation()
     p_WB = q[4:7]
@@ -191,42 +185,21 @@ def contact_at(
     )
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class _Situation:
-    """The arguments of ``plastic_grasp``."""
-
-    mass_matrix: np.ndarray
-    jacobian: np.ndarray
-    target_inertia: np.ndarray
-    velocity: np.ndarray
-    target_velocity: np.ndarray
-    braked: Sequence[int]
-    constraints: np.ndarray | None = None
-
-
-def _compliant(situation: _Situation, gripper: Compliance, p_PE: np.ndarray) -> CompliantGrasp:
+def _compliant(situation: dict[str, Any], gripper: Compliance, p_PE: np.ndarray) -> CompliantGrasp:
     """The grasp by a compliant gripper at E, ``p_PE`` (3; m, world axes) from the target's P."""
-    # [w; v_E] = moved [w; v_P]
-    moved, back = (_shift_twist(sign * p_PE) for sign in (1.0, -1.0))
-    at_gripper = dataclasses.replace(
-        situation,
-        jacobian=moved @ situation.jacobian,
-        target_inertia=back.T @ situation.target_inertia @ back,
-        target_velocity=moved @ situation.target_velocity,
-    )
+    moved = np.eye(6)  # [w; v_E] = moved [w; v_P]
+    moved[3:, :3] = -skew(p_PE)
+    back = 2.0 * np.eye(6) - moved
+    at_gripper = {
+        "jacobian": moved @ situation["jacobian"],
+        "target_inertia": back.T @ situation["target_inertia"] @ back,
+        "target_velocity": moved @ situation["target_velocity"],
+    }
     return compliant_grasp(
-        **{name: value for name, value in vars(at_gripper).items() if name != "constraints"},
+        **{**situation, **at_gripper},
         stiffness=np.repeat([gripper.rotational_stiffness, gripper.stiffness], 3),
         damping=np.repeat([gripper.rotational_damping, gripper.damping], 3),
     )
-
-
-def _shift_twist(offset: np.ndarray) -> np.ndarray:
-    """Matrix (6, 6) from a body's [w; v] at one point to that at ``offset`` (3, m) from it."""
-    x, y, z = offset
-    matrix = np.eye(6)
-    matrix[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
-    return matrix
 
 
 def planned_contact(scenario: Scenario, model: PlantModel) -> Contact:

@@ -144,15 +144,13 @@ class Target:
         time: float | np.ndarray = 0.0,
         orbit: Orbit | None = None,
         pushed: np.ndarray | None = None,
-        *,
-        G: np.ndarray | None = None,
     ) -> "Target":
         """After a step (s) from a time (..., s) on, by ``runge_kutta4``.
 
         Args: ``pushed`` (..., 6): torque about C times a third of the trace of the inverse inertia,
-        rad/s^2, and force over mass, m/s^2; held, in world axes. G of the shape, if it is known.
+        rad/s^2, and force over mass, m/s^2; held, in world axes.
         """
-        G = inverse_inertia(self.shape) if G is None else G
+        G = inverse_inertia(self.shape)
         J = np.linalg.inv(G)
         row = np.concatenate([self.quaternion, self.rate, self.center, self.velocity], axis=-1)
 

@@ -226,29 +226,26 @@ class LateKalmanEstimator(Estimator):
         e, e_dot, d = _predict(sample, nominal_mass_matrix, state, step=self.sample_time)
         if not sample.is_first:
             past = self._moved_past(state, sample.v_d)
-        x = np.concatenate((e, e_dot, past), axis=-1)
-        expected = x[..., self._measured]
-        position = sample.e - expected[..., :nv]
+        expected = np.concatenate((e, e_dot, past))[self._measured]
+        position = sample.e - expected[:nv]
         if self.in_base:
-            R = matrix_of(sample.q[..., :4])
-            back = np.swapaxes(R, -1, -2)
+            back = matrix_of(sample.q[:4]).T
             position = _turned(back, position)
-            rate = _turned(back, sample.e_dot - expected[..., nv:]) + bias
+            rate = _turned(back, sample.e_dot - expected[nv:]) + bias
         else:
-            rate = sample.e_dot - (expected[..., nv:] - bias)
+            rate = sample.e_dot - (expected[nv:] - bias)
         axis = self._axis
-        none, of_rate, of_position, gain = np.moveaxis(self.gain, -3, 0)
+        none, of_rate, of_position, gain = self.gain
         if sample.is_new is not None:
-            new_position, new_rate = np.split(sample.is_new[..., None], 2, axis=-2)
-            without = np.where(new_rate[..., axis, :], of_rate, none)
-            gain = np.where(new_rate[..., axis, :], gain, of_position)
-            gain = np.where(new_position[..., axis, :], gain, without)
-        correction = gain[..., 0] * position[..., axis] + gain[..., 1] * rate[..., axis]
-        if self.in_base:
-            vectors = product(correction[..., self._of_base], back)  # rows: R v is v R'
-            correction[..., self._of_base] = vectors
-        x = np.concatenate((e, e_dot, d, bias, past), axis=-1) + correction
-        e, e_dot, d, bias, past = np.split(x, [nv, 2 * nv, 3 * nv, 4 * nv], axis=-1)
+            new_position, new_rate = np.split(sample.is_new[:, None], 2)
+            without = np.where(new_rate[axis], of_rate, none)
+            gain = np.where(new_rate[axis], gain, of_position)
+            gain = np.where(new_position[axis], gain, without)
+        correction = gain[:, 0] * position[axis] + gain[:, 1] * rate[axis]
+        if self.in_base:  # rows: R v is v R'
+            correction[self._of_base] = product(correction[self._of_base], back)
+        x = np.concatenate((e, e_dot, d, bias, past)) + correction
+        e, e_dot, d, bias, past = np.split(x, [nv, 2 * nv, 3 * nv, 4 * nv])
         return Estimate(e, e_dot, base_force=np.zeros_like(d), base_acceleration=-d), {
             "estimated_error": e,
             "estimated_error_rate": e_dot,
@@ -267,11 +264,10 @@ class LateKalmanEstimator(Estimator):
     def _moved_past(self, state: State, v_d: np.ndarray) -> np.ndarray:
         """Past values relative to a reference that has moved on to the velocity v_d."""
         old_v_d = state["delayed_desired_velocity"]
-        moved = np.concatenate((0.5 * self.sample_time * (v_d + old_v_d), v_d - old_v_d), axis=-1)
-        before = np.concatenate(
-            (state["estimated_error"], state["estimated_error_rate"], state["past"]), axis=-1
-        )
-        past: np.ndarray = before[..., self._source] + moved[..., self._owner]
+        moved = np.concatenate((0.5 * self.sample_time * (v_d + old_v_d), v_d - old_v_d))
+        names = ("estimated_error", "estimated_error_rate", "past")
+        before = np.concatenate([state[name] for name in names])
+        past: np.ndarray = before[self._source] + moved[self._owner]
         return past
 
 
@@ -348,31 +344,29 @@ class CoupledEstimator(Estimator):
         predicted = _predict(sample, nominal_mass_matrix, state, step=self.separate.sample_time)
         estimate, after = self.separate.step(sample, nominal_mass_matrix, state)
         e, e_dot, d = estimate.e.copy(), estimate.e_dot.copy(), -estimate.base_acceleration
-        old_e, old_rate = (of[..., self.axes] for of in predicted[:2])
-        rate = sample.e_dot[..., self.axes] - old_rate
+        n, axes = self.axes.size, self.axes
+        old_e, old_rate = (of[axes] for of in predicted[:2])
+        rate = sample.e_dot[axes] - old_rate
         if self.biased.size:
-            R, bias = matrix_of(sample.q[..., :4]), state["estimated_velocity_bias"]
-            rate = rate + _turned(R, bias)[..., self.axes]
-        innovation = np.concatenate((sample.e[..., self.axes] - old_e, rate), axis=-1)
-        n = self.axes.size
+            R, bias = matrix_of(sample.q[:4]), state["estimated_velocity_bias"]
+            rate = rate + _turned(R, bias)[axes]
+        innovation = np.concatenate((sample.e[axes] - old_e, rate))
         of_e, of_rate, of_force, of_bias = np.split(
-            self.gain_at(sample.q_d).dot(innovation), [n, 2 * n, 3 * n], axis=-1
+            self.gain_at(sample.q_d).dot(innovation), [n, 2 * n, 3 * n]
         )
         force = state["estimated_force"] + of_force
         # Its effect on the other coordinates is theirs to estimate.
         acting = np.zeros_like(d)
-        acting[..., self.axes] = force
-        e[..., self.axes], e_dot[..., self.axes] = old_e + of_e, old_rate + of_rate
-        d[..., self.axes] = -np.linalg.solve(nominal_mass_matrix, acting[..., None])[
-            ..., self.axes, 0
-        ]
+        acting[axes] = force
+        e[axes], e_dot[axes] = old_e + of_e, old_rate + of_rate
+        d[axes] = -np.linalg.solve(nominal_mass_matrix, acting)[axes]
         kept = {"estimated_error": e, "estimated_error_rate": e_dot, "estimated_negative_n": d}
         if self.biased.size:  # in the base's axes
             correction = np.zeros_like(d)
-            correction[..., self.biased] = of_bias
-            bias = bias + _turned(np.swapaxes(R, -1, -2), correction)
+            correction[self.biased] = of_bias
+            bias = bias + _turned(R.T, correction)
             of_others = after["estimated_velocity_bias"]
-            coupled = np.isin(np.arange(bias.shape[-1]), self.axes)
+            coupled = np.isin(np.arange(bias.size), axes)
             kept["estimated_velocity_bias"] = np.where(coupled, bias, of_others)
         return estimate._replace(e=e, e_dot=e_dot, base_acceleration=-d), {
             **after,
@@ -398,10 +392,10 @@ def _axes_matter(axes: Sequence[SensedAxis]) -> bool:
 
 
 def _turned(R: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return values (..., nv) along the coordinates, the base's vectors turned by R (..., 3, 3)."""
-    turned, base = values.copy(), values[..., :NUM_BASE_VELOCITIES]
-    vectors = product(base.reshape(*base.shape[:-1], 2, 3), np.swapaxes(R, -1, -2))  # as rows
-    turned[..., :NUM_BASE_VELOCITIES] = vectors.reshape(base.shape)
+    """Return values (nv) along the coordinates, the base's vectors turned by R (3, 3)."""
+    turned = values.copy()
+    vectors = product(values[:NUM_BASE_VELOCITIES].reshape(2, 3), R.T)  # as rows
+    turned[:NUM_BASE_VELOCITIES] = vectors.reshape(NUM_BASE_VELOCITIES)
     return turned
 
 

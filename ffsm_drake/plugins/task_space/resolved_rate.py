@@ -32,11 +32,11 @@ class ResolvedRate(TaskSpaceLaw):
 
     @functools.cached_property
     def k_p(self) -> np.ndarray:
-        """K by row of the task (..., m)."""
+        """K by row of the task (m)."""
         return self.task_space.by_row(self.k_p_rotation, self.k_p_position)
 
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
-        planned = (point.sample.v_d + self.k_p_plan * point.sample.e)[..., self.task_space.driven]
+        planned = (point.sample.v_d + self.k_p_plan * point.sample.e)[self.task_space.driven]
         feedback = limited(self.k_p * point.e, self.speed_limit)
         rates = point.served(planned, point.desired_twist + feedback - point.drift)
         return applied(point.mass_matrix, self.k_v * (rates - point.v_a)) + point.bias, {}

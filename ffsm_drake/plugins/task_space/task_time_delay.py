@@ -99,8 +99,8 @@ class TaskTimeDelay(AccelerationLaw):
         u, dynamics_memory = self._limited(point.e, point.e_dot, point, _own(state))
         acceleration = point.served(self.planned(point.sample), u - point.bias_acceleration)
         force = estimate.base_force.copy()
-        force[..., driven] += applied(
-            point.mass_matrix, acceleration - estimate.base_acceleration[..., driven]
+        force[driven] += applied(
+            point.mass_matrix, acceleration - estimate.base_acceleration[driven]
         )
         singular = point.smallest_singular_value
         memory = {**estimator_memory, **_named(dynamics_memory)}
@@ -109,15 +109,15 @@ class TaskTimeDelay(AccelerationLaw):
     def _limited(
         self, e: np.ndarray, e_dot: np.ndarray, point: TaskPoint, state: State
     ) -> tuple[np.ndarray, State]:
-        """u (..., m) within the limits on the correction of an error, and the dynamics' memory."""
+        """u (m) within the limits on the correction of an error, and the dynamics' memory."""
         wanted = point.desired_acceleration
         u, memory = self.dynamics.step(self.limited(e), e_dot, wanted, state)
         return wanted + self.feedback(u - wanted), memory
 
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
         own = _own(state)
-        force = point.sample.applied_force[..., self.task_space.driven]
-        both = np.stack([force, point.bias], axis=-1)
+        force = point.sample.applied_force[self.task_space.driven]
+        both = np.stack([force, point.bias], axis=1)
         given = product(point.jacobian, np.linalg.solve(point.mass_matrix, both))
         sample = point.sample._replace(
             v=point.twist,
@@ -125,13 +125,13 @@ class TaskTimeDelay(AccelerationLaw):
             a_d=point.desired_acceleration,
             e=point.e,
             e_dot=point.e_dot,
-            applied_force=given[..., 0],
+            applied_force=given[:, 0],
             is_new=None,
         )
-        estimate, estimator_memory = self.estimator.step(sample, np.eye(given.shape[-2]), own)
+        estimate, estimator_memory = self.estimator.step(sample, np.eye(len(given)), own)
         u, dynamics_memory = self._limited(estimate.e, estimate.e_dot, point, own)
         wanted = estimate.base_force + u - estimate.base_acceleration
-        acceleration = point.served(self.planned(point.sample), wanted - given[..., 1])
+        acceleration = point.served(self.planned(point.sample), wanted - given[:, 1])
         force = applied(point.mass_matrix, acceleration) + point.bias
         return force, _named({**estimator_memory, **dynamics_memory})
 
@@ -148,13 +148,13 @@ class TaskTimeDelay(AccelerationLaw):
 
 
 def _at_estimate(sample: Sample, estimate: Estimate, driven: np.ndarray) -> Sample:
-    """Return a sample (..., nv) with the estimated state of the driven coordinates in place of the
+    """Return a sample (nv) with the estimated state of the driven coordinates in place of the
     measured one, to first order in the attitude's error.
     """
     q, v, e, e_dot = (of.copy() for of in (sample.q, sample.v, sample.e, sample.e_dot))
-    e[..., driven], e_dot[..., driven] = estimate.e[..., driven], estimate.e_dot[..., driven]
-    q[..., :4] = turned_by((sample.e - e)[..., :3], q[..., :4])
-    q[..., 4:] += (sample.e - e)[..., 3:]
+    e[driven], e_dot[driven] = estimate.e[driven], estimate.e_dot[driven]
+    q[:4] = turned_by((sample.e - e)[:3], q[:4])
+    q[4:] += (sample.e - e)[3:]
     v += sample.e_dot - e_dot
     return sample._replace(q=q, v=v, e=e, e_dot=e_dot)
 

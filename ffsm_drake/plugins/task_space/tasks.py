@@ -70,13 +70,11 @@ class TaskSpace:
         return cls(model=model, frame=frame, rows=TASK_ROWS[task], driven=given.coordinates.driven)
 
     def at(self, sample: Sample, *, damping: float) -> "TaskPoint":
-        """Return the task at one sample, of one run or several; singular values below ``damping``
-        are damped.
-        """
+        """Return the task at one sample; singular values below ``damping`` are damped."""
         model, q, rows = self.model, sample.q, self.rows
         spacecraft = FreeFloating(
             mass_matrix=model.calc_mass_matrix(q),
-            base_position=q[..., 4:NUM_BASE_POSITIONS],
+            base_position=q[4:NUM_BASE_POSITIONS],
             driven=self.driven,
         )
         jacobian = model.calc_jacobian(q, self.frame)
@@ -84,100 +82,99 @@ class TaskSpace:
         if desired is None:  # the frame follows the planned motion of the coordinates
             desired = model.calc_frame_motion(sample.q_d, sample.v_d, sample.a_d, self.frame)
         twist = applied(jacobian, sample.v)
-        actual = np.concatenate([model.calc_frame_pose(q, self.frame), twist], axis=-1)
-        e, e_dot = model.calc_tracking_errors(desired[..., :13], actual, NUM_BASE_POSITIONS)
+        actual = np.concatenate([model.calc_frame_pose(q, self.frame), twist])
+        e, e_dot = model.calc_tracking_errors(desired[:13], actual, NUM_BASE_POSITIONS)
         return TaskPoint(
             task_space=self,
             sample=sample,
             spacecraft=spacecraft,
-            whole_jacobian=jacobian[..., rows, :],
-            jacobian=spacecraft.generalized_jacobian(jacobian)[..., rows, :],
+            whole_jacobian=jacobian[rows],
+            jacobian=spacecraft.generalized_jacobian(jacobian)[rows],
             damping=damping,
-            e=e[..., rows],
-            e_dot=e_dot[..., rows],
-            twist=twist[..., rows],
-            desired_twist=desired[..., 7:13][..., rows],
-            desired_acceleration=desired[..., 13:][..., rows],
-            v_a=sample.v[..., self.driven],
+            e=e[rows],
+            e_dot=e_dot[rows],
+            twist=twist[rows],
+            desired_twist=desired[7:13][rows],
+            desired_acceleration=desired[13:][rows],
+            v_a=sample.v[self.driven],
         )
 
     def by_row(self, rotation: float, position: float) -> np.ndarray:
         """One number for the frame's rotation and one for its position by row of the task (m)."""
-        both = np.broadcast_arrays(rotation * np.ones(3), position * np.ones(3))
-        return np.concatenate(both, axis=-1)[..., self.rows]
+        return np.concatenate([rotation * np.ones(3), position * np.ones(3)])[self.rows]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class TaskPoint:
-    """The task at one sample, of one run or several (...): m rows of the frame's twist, na driven
-    coordinates, nj joints; world axes.
+    """The task at one sample: m rows of the frame's twist, na driven coordinates, nj joints; world
+    axes.
     """
 
     task_space: TaskSpace
     sample: Sample
     spacecraft: FreeFloating
-    whole_jacobian: np.ndarray  # J (..., m, nv)
-    jacobian: np.ndarray  # J* (..., m, na)
+    whole_jacobian: np.ndarray  # J (m, nv)
+    jacobian: np.ndarray  # J* (m, na)
     damping: float
-    # (..., m) pose error: rotation vector from R_WF to its reference, rad; then position, m
+    # (m) pose error: rotation vector from R_WF to its reference, rad; then position, m
     e: np.ndarray
-    e_dot: np.ndarray  # (..., m) its rate
-    twist: np.ndarray  # V (..., m), measured
-    desired_twist: np.ndarray  # (..., m)
-    desired_acceleration: np.ndarray  # (..., m)
-    v_a: np.ndarray  # (..., na) measured
+    e_dot: np.ndarray  # (m) its rate
+    twist: np.ndarray  # V (m), measured
+    desired_twist: np.ndarray  # (m)
+    desired_acceleration: np.ndarray  # (m)
+    v_a: np.ndarray  # (na) measured
 
     @property
     def mass_matrix(self) -> np.ndarray:
-        """H* (..., na, na)."""
+        """H* (na, na)."""
         return self.spacecraft.reduced_mass_matrix
 
     @functools.cached_property
     def _whole_bias(self) -> np.ndarray:
-        """C (..., nv)."""
+        """C (nv)."""
         return self.task_space.model.calc_bias(self.sample.q, self.sample.v)
 
     @functools.cached_property
     def bias(self) -> np.ndarray:
-        """C* (..., na)."""
+        """C* (na)."""
         return self.spacecraft.reduced_bias(self._whole_bias)
 
     @property
     def drift(self) -> np.ndarray:
-        """V_0 (..., m): J v - J* v_a."""
+        """V_0 (m): J v - J* v_a."""
         return self.twist - applied(self.jacobian, self.v_a)
 
     @property
     def bias_acceleration(self) -> np.ndarray:
-        """A_0 (..., m), exact: J' v - J_u H_uu^-1 C_u."""
+        """A_0 (m), exact: J' v - J_u H_uu^-1 C_u."""
         space, sample = self.task_space, self.sample
-        own = space.model.calc_bias_acceleration(sample.q, sample.v, space.frame)[..., space.rows]
+        own = space.model.calc_bias_acceleration(sample.q, sample.v, space.frame)[space.rows]
         return self.spacecraft.bias_acceleration(self.whole_jacobian, own, self._whole_bias)
 
     @functools.cached_property
     def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """SVD u s v^T of the joints' columns of J*: u (..., m, k), s (..., k), v^T (..., k, nj)."""
+        """SVD u s v^T of the joints' columns of J*: u (m, k), s (k), v^T (k, nj)."""
         base = int(np.count_nonzero(self.task_space.driven < NUM_BASE_VELOCITIES))
-        return np.linalg.svd(self.jacobian[..., base:], full_matrices=False)
+        return np.linalg.svd(self.jacobian[:, base:], full_matrices=False)
 
     @property
     def smallest_singular_value(self) -> np.ndarray:
-        """Smallest singular value (..., 1) of the joints' columns of J*, rad counted as m.
+        """Smallest singular value (1) of the joints' columns of J*, rad counted as m.
 
         Directions in which the joints cannot move the frame do not count.
         """
         sizes = self._directions[1]
-        counts = sizes >= _ROUNDING * sizes[..., :1]
-        least: np.ndarray = np.where(counts, sizes, np.inf).min(axis=-1, keepdims=True)
+        counts = sizes >= _ROUNDING * sizes[:1]
+        least: np.ndarray = np.where(counts, sizes, np.inf).min(keepdims=True)
         return least
 
     def served(self, z: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        """z + [0; J+ (wanted - J* z)] (..., na): motion z corrected for the frame's motion (m)."""
+        """z + [0; J+ (wanted - J* z)] (na): motion z corrected for the frame's motion (m)."""
         left, sizes, right = self._directions
-        lacking = applied(left.mT, wanted - applied(self.jacobian, z))
+        lacking = applied(left.T, wanted - applied(self.jacobian, z))
         result = z.copy()
-        result[..., z.shape[-1] - right.shape[-1] :] += applied(
-            right.mT, damped_inverse(sizes, self.damping) * lacking
+        result[z.size - right.shape[1] :] += applied(
+            right.T, damped_inverse(sizes, self.damping) * lacking
         )
         return result
 
@@ -213,7 +210,7 @@ class TaskSpaceLaw(ControlLaw):
         point = self.task_space.at(sample, damping=self.damping)
         on_driven, memory = self.driven_force(point, state)
         force = np.zeros_like(sample.v)
-        force[..., self.task_space.driven] = on_driven
+        force[self.task_space.driven] = on_driven
         return force, {**memory, "smallest_singular_value": point.smallest_singular_value}
 
     @classmethod
@@ -223,7 +220,7 @@ class TaskSpaceLaw(ControlLaw):
 
     @abc.abstractmethod
     def driven_force(self, point: TaskPoint, state: State) -> tuple[np.ndarray, State]:
-        """tau_a (..., na) at one sample, N m and N, and the law's memory; see
+        """tau_a (na) at one sample, N m and N, and the law's memory; see
         ``ControlLaw.step``.
         """
 
@@ -253,20 +250,20 @@ class AccelerationLaw(TaskSpaceLaw):
 
     @functools.cached_property
     def k_p(self) -> np.ndarray:
-        """K_p by row of the task (..., m)."""
+        """K_p by row of the task (m)."""
         return self.task_space.by_row(self.k_p_rotation, self.k_p_position)
 
     @functools.cached_property
     def k_d(self) -> np.ndarray:
-        """K_d by row of the task (..., m)."""
+        """K_d by row of the task (m)."""
         return self.task_space.by_row(self.k_d_rotation, self.k_d_position)
 
     def feedback(self, wanted: np.ndarray) -> np.ndarray:
-        """Feedback acceleration (..., m) for a frame's error, within its limit."""
+        """Feedback acceleration (m) for a frame's error, within its limit."""
         return limited(wanted, self.acceleration_limit)
 
     def limited(self, e: np.ndarray) -> np.ndarray:
-        """Return the frame's error (..., m), shortened to keep the correction within the speed
+        """Return the frame's error (m), shortened to keep the correction within the speed
         limit.
 
         At the limit K_p e is K_d times the speed. At a singularity no rate can remove an error,
@@ -275,17 +272,16 @@ class AccelerationLaw(TaskSpaceLaw):
         return limited(e, self.speed_limit * self.k_d / np.maximum(self.k_p, 1e-12))
 
     def planned(self, sample: Sample) -> np.ndarray:
-        """Return the acceleration z (..., na) that follows the plan."""
+        """Return the acceleration z (na) that follows the plan."""
         z = sample.a_d + self.k_d_plan * sample.e_dot + self.k_p_plan * sample.e
-        return z[..., self.task_space.driven]
+        return z[self.task_space.driven]
 
 
 def limited(vector: np.ndarray, limit: np.ndarray | float) -> np.ndarray:
-    """Return a frame's vector (..., m), rotation and position each shortened to a limit, one or by
+    """Return a frame's vector (m), rotation and position each shortened to a limit, one or by
     row.
     """
-    shape = (*vector.shape[:-1], -1, 3)
-    parts, limits = vector.reshape(shape), np.broadcast_to(limit, vector.shape).reshape(shape)
-    limits = limits[..., :1]
+    parts = vector.reshape(-1, 3)
+    limits = np.broadcast_to(limit, vector.shape).reshape(-1, 3)[:, :1]
     sizes = np.sqrt((parts * parts).sum(axis=-1, keepdims=True))
     return (parts * (limits / np.maximum(sizes, limits))).reshape(vector.shape)

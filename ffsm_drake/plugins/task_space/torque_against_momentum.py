@@ -11,6 +11,7 @@ import dataclasses
 import numpy as np
 
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.free_floating import FreeFloating
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain
 
@@ -41,30 +42,24 @@ class TorqueAgainstMomentum(ControlLaw):
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         base, arm = slice(None, NUM_BASE_VELOCITIES), slice(NUM_BASE_VELOCITIES, None)
-        joints = sample.q[..., NUM_BASE_POSITIONS:]
+        joints = sample.q[NUM_BASE_POSITIONS:]
         held = joints.copy() if sample.is_first else state["held_joints"]
         H, C = self.model.calc_mass_matrix(sample.q), self.model.calc_bias(sample.q, sample.v)
         momentum = angular_momentum(H, sample.v)
-        size = np.maximum(
-            np.sqrt((momentum * momentum).sum(axis=-1, keepdims=True)), self.torque * self.decay
-        )
-        on_base = np.concatenate([-self.torque / size * momentum, np.zeros_like(momentum)], axis=-1)
-        wanted = self.k_p * (held - joints) - self.k_d * sample.v[..., arm]
+        size = np.maximum(np.sqrt((momentum * momentum).sum()), self.torque * self.decay)
+        on_base = np.concatenate([-self.torque / size * momentum, np.zeros_like(momentum)])
+        wanted = self.k_p * (held - joints) - self.k_d * sample.v[arm]
         # Solves H [a; wanted] + C = [on_base; tau] for a and tau.
-        rest = on_base - C[..., base] - H[..., base, arm].dot(wanted)
-        a = np.linalg.solve(H[..., base, base], rest[..., None])[..., 0]
-        tau = H[..., arm, base].dot(a) + H[..., arm, arm].dot(wanted) + C[..., arm]
-        return np.concatenate([on_base, tau], axis=-1), {"held_joints": held}
+        a = np.linalg.solve(H[base, base], on_base - C[base] - H[base, arm].dot(wanted))
+        tau = H[arm, base].dot(a) + H[arm, arm].dot(wanted) + C[arm]
+        return np.concatenate([on_base, tau]), {"held_joints": held}
 
 
 def angular_momentum(mass_matrix: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Angular momentum (..., 3) of all bodies about their centre of mass, world axes, N m s.
-
-    The mass matrix suffices: H v begins with the momentum about the base's origin, and H[3:6, :3]
-    is minus the mass times the cross-product matrix of c, from there to the centre of mass.
-    """
+    """Angular momentum (3) of all bodies about their centre of mass, world axes, N m s."""
+    whole = FreeFloating(
+        mass_matrix=mass_matrix, base_position=np.empty(0), driven=np.arange(v.size)
+    )
     momentum = mass_matrix.dot(v)
-    c = np.stack([mass_matrix[..., 4, 2], mass_matrix[..., 5, 0], mass_matrix[..., 3, 1]], axis=-1)
-    c = c / mass_matrix[..., 3, 3, None]
-    about_center: np.ndarray = momentum[..., :3] - np.cross(c, momentum[..., 3:6])
+    about_center: np.ndarray = momentum[:3] - np.cross(whole.center_of_mass, momentum[3:6])
     return about_center

@@ -34,6 +34,7 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.mass_properties import set_wheels
 from ffsm_drake.spacecraft.plant import split_of
 from ffsm_drake.systems.part import pulses_of
+from ffsm_drake.systems.sampled import Now
 
 PERIOD, DURATION = 0.01, 20.0  # s
 MASS = 400.0  # kg
@@ -82,6 +83,14 @@ PARTS = {
 }
 DEFLECTION = {"port": 0.3, "starboard": -0.2, "fuel": 0.05}  # rad and m, at the start, at rest
 FRAME, MINIMUM = 0.1, 0.02  # s, of a pulse-width modulator
+
+
+def stepped(base, commanded, memory):
+    """Outputs and memory of ``BaseActuators`` at rest, where a frame begins."""
+    inputs = {"commanded_force": commanded, "state": np.eye(1, 7)[0]}
+    if base.wheels is not None:
+        inputs["stored_momentum"] = base.wheels.axes @ memory["momentum"]
+    return base.step(inputs, memory, Now(0.0, [1.0]))
 
 
 def torques() -> np.ndarray:

@@ -12,6 +12,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RevoluteJoint, SpatialInertia, UnitInertia
 from pydrake.systems.analysis import Simulator
+from rigid_bus import stepped
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop
 from ffsm_drake.common.numbers import number
@@ -295,14 +296,7 @@ def test_any_torque_is_given_within_the_limits_or_is_none(torque, size):
     )
     commanded = np.zeros(11)
     commanded[:3] = size * np.array(torque) / 4.0
-    parts, _ = base.give(
-        commanded,
-        base.start(),
-        rotation=np.eye(3),
-        turning=np.zeros(3),
-        missing=np.zeros(3),
-        begins=True,
-    )
+    parts, _ = stepped(base, commanded, base.start())
     limit = max(unit.torque_limit for unit in scenario.wheels.units.values())
     if (np.abs(commanded) < 1e300).all():
         assert np.abs(parts["wheel_torque"]).max() <= limit

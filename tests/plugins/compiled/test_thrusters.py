@@ -115,7 +115,7 @@ def test_the_compiled_allocation_is_that_of_the_tables(seed):
     memory, n = own.initial_memory(), len(own.names)
     tape = Tape()
     made = own.allocate(inputs(tape, "wrench", (6,)), memory)
-    row = [*made.wanted, *made.given]
+    row = [*made["wanted"], *made["given"]]
     run = of_copies(text_of_traced(registers(), tape, {"wrench": 6}, row), registers(), 1, n + 1)
     wrenches = random.normal(size=(200, 6)) * 10.0 ** random.uniform(-2, 3, size=(200, 1))
     wrenches[::3, :3] = 0.0
@@ -123,8 +123,8 @@ def test_the_compiled_allocation_is_that_of_the_tables(seed):
     wrenches[1::5] = wrenches[1::5].round()
     found = run(wrenches)
     expected = [own.allocate(wrench, memory) for wrench in wrenches]
-    wanted = np.array([each.wanted for each in expected])
-    part = np.array([each.given for each in expected])
+    wanted = np.array([each["wanted"] for each in expected])
+    part = np.array([each["given"] for each in expected])
     np.testing.assert_allclose(found[:, n:], part, atol=1e-9)
     largest = own.force.max()
     is_whole = (part == 1.0).all(axis=1) & (wanted < 0.999 * own.force).all(axis=1)

@@ -100,9 +100,9 @@ def test_what_is_isolated_does_nothing():
     assert gives_all
     rng = np.random.default_rng(0)
     for wrench in rng.uniform(-1.0, 1.0, (20, 6)):
-        memory = thrusters.allocate(wrench, thrusters.initial_memory())
-        assert memory.wanted[2] == 0.0
-        assert thrusters.wrenches @ memory.wanted == pytest.approx(wrench, abs=1e-6)
+        wanted = thrusters.allocate(wrench, thrusters.initial_memory())["wanted"]
+        assert wanted[2] == 0.0
+        assert thrusters.wrenches @ wanted == pytest.approx(wrench, abs=1e-6)
         torques = wheels.give(0.5 * wrench[:3], np.zeros(4), np.zeros(3))
         assert abs(torques.motor[0]) < 1e-12
         assert torques.on_base == pytest.approx(0.5 * wrench[:3], abs=1e-9)
