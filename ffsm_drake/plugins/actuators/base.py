@@ -281,11 +281,11 @@ class BaseActuators(Sampled):
         before = {"begins": begins, **{name: memory[name] for name in names}}
         after = dict(repeated(allocated, before, {"asked": asked, "rotation": rotation}, most=1))
         owed = after.pop("owed")
-        firing, after = thrusters.fire(after)
+        firing, kept = thrusters.fire(after)
         if thrusters.carries_over:
             left = asked - firing.wrench.reshape(asked.shape)
             owed = owed + _turned_back(left, rotation) * self.sample_time
-        return firing, {"owed": owed, **after}
+        return firing, {"owed": owed, **kept}
 
     def without(self, isolated: np.ndarray) -> _Working:
         """Thrusters and wheels (None: none) for the allocation without what is ``isolated``, and

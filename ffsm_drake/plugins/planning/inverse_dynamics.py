@@ -17,7 +17,8 @@ from pydrake.math import RotationMatrix
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.so3 import attitude_motion
 from ffsm_drake.plugins.equations.equations import inverse_dynamics
-from ffsm_drake.plugins.equations.tree import NotCovered, Reader
+from ffsm_drake.plugins.equations.tree import Reader
+from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.nominal import PlantModel
 
