@@ -14,7 +14,7 @@ from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
 from ffsm_drake.plugins.capture.phases.own import with_phases
 from ffsm_drake.runs.limits import not_measured
-from ffsm_drake.scenario import EMPTY, Posture, Scenario
+from ffsm_drake.scenario import EMPTY, Posture, Scenario, planned_part
 from ffsm_drake.scenario.capture import Approach
 from ffsm_drake.spacecraft.clearance import shapes_of
 from ffsm_drake.spacecraft.grasp import Contact
@@ -56,22 +56,8 @@ def given_approach(scenario: Scenario) -> Approach:
     assert approach is not None
     if approach.start == "given":
         return approach
-    # inputs of the plan: the laws of a campaign share it
-    posture = _clear_start(
-        dataclasses.replace(
-            Scenario(),
-            model=scenario.model,
-            payload=scenario.payload,
-            capture=scenario.capture,
-            reference=scenario.reference,
-            contacts=scenario.contacts,
-            initial_posture=scenario.initial_posture,
-            sample_time=scenario.sample_time,
-            actuation=scenario.actuation,
-            environment=scenario.environment,
-            clearance=scenario.clearance,
-        )
-    )
+    # the laws of a campaign share it
+    posture = _clear_start(planned_part(scenario))
     return dataclasses.replace(approach, posture=posture, start="given")
 
 
@@ -206,14 +192,17 @@ def shares_of(scenario: Scenario) -> Callable[[np.ndarray], float]:
     damping.
     """
     model = make_nominal_plant(scenario, EMPTY)
-    nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
     limit = actuation_limit(scenario, model.coordinates).upper
+    return functools.partial(force_share, model, limit=limit)
 
-    def share_of(rows: np.ndarray) -> float:
-        force = model.calc_tracking_force(*np.split(rows, [nq, nq + nv], axis=1))
-        return float((np.abs(force) / limit).max())
 
-    return share_of
+def force_share(model: PlantModel, rows: np.ndarray, limit: np.ndarray) -> float:
+    """The largest share of limits (nv) of force that a motion [q_d; v_d; dv_d/dt] (n, nq + 2 nv)
+    takes.
+    """
+    nq = len(model.coordinates.position_names)
+    force = model.calc_tracking_force(*np.split(rows, [nq, nq + limit.size], axis=1))
+    return float((np.abs(force) / limit).max())
 
 
 def gentle_duration(

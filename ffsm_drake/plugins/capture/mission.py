@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.loop.blocks import GRIPPER
-from ffsm_drake.plugins.capture.grasping import Aim, grasped_at_start, with_grasp
+from ffsm_drake.plugins.capture.grasping import Aim, MadeGrasp, grasped_at_start, with_grasp
 from ffsm_drake.plugins.capture.gripper import MOTION
-from ffsm_drake.plugins.capture.made_grasp import MadeGrasp
 from ffsm_drake.plugins.capture.phases.approach import CONTACTS, Approach
 from ffsm_drake.plugins.capture.phases.chase import Chase
 from ffsm_drake.plugins.capture.phases.close import Close, free_motion

@@ -30,7 +30,7 @@ from pydrake.systems.framework import (
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.plugins.capture.approach import approach_posture
+from ffsm_drake.plugins.capture.approach import approach_posture, force_share
 from ffsm_drake.scenario import Reference, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -475,9 +475,7 @@ def plan_anew(
     while duration <= _LONGEST:
         plan = NewPlan(begin=time, duration=duration, retreats=retreats, q=q, v=v)
         motion = plan.motion(scenario, supervisor.coordinates)
-        rows = motion.rows(np.linspace(0.0, duration, _INSTANTS))
-        force = block.model.calc_tracking_force(*np.split(rows, [q.size, q.size + v.size], axis=1))
-        share = float((np.abs(force) / most).max())
+        share = force_share(block.model, motion.rows(np.linspace(0.0, duration, _INSTANTS)), most)
         if share <= 1.0:
             return plan
         if retreats and share < least:

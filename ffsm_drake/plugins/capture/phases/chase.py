@@ -1,21 +1,68 @@
 """What passes from phase to phase of a capture, and what its phases have in common."""
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from ffsm_drake.plugins.capture.free_body import Target
 from ffsm_drake.plugins.capture.grasping import Aim, Meeting, target_at
-from ffsm_drake.plugins.capture.phases.moves import Move, along
 from ffsm_drake.plugins.capture.supervisor import Mode, SupervisorPart
 from ffsm_drake.plugins.capture.target_filter import Path
 from ffsm_drake.plugins.capture.tracked_target import Approached, TrackedTarget
 from ffsm_drake.runs.ending import MISSED, Outcome
 from ffsm_drake.runs.phases import Phase, Situation
-from ffsm_drake.scenario import EMPTY, Capture, Grip, Scenario
-from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.scenario import EMPTY, Capture, Grip, Posture, Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.blend import Blend
+from ffsm_drake.systems.planned_motion import InTurn, PlannedMotion
+from ffsm_drake.systems.polynomial_motion import PolynomialMotion
+from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import Factory
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Move:
+    """A motion from one posture to rest in another, that begins at a time of the run."""
+
+    begin: float  # s
+    duration: float  # s
+    start: Posture
+    goal: Posture
+    velocity: np.ndarray | None = None  # (nv) at the start
+
+    def motion(self, scenario: Scenario, coordinates: Coordinates) -> PolynomialMotion:
+        """As a function of the time since its begin."""
+        return PolynomialMotion(
+            coordinates=coordinates,
+            start=self.start,
+            target=self.goal,
+            blend=Blend(scenario.reference, self.duration),
+            base_rotation="eigenaxis",
+            sample_time=scenario.sample_time,
+            velocity=self.velocity,
+        )
+
+
+def along(
+    moves: Sequence[Move],
+    plan: Scenario,
+    coordinates: Coordinates,
+    grip: Grip,
+    *,
+    again: float | None,
+) -> PlannedMotion:
+    """Along moves, and from the time ``again`` (s) on, if it is given, along a scenario's plan."""
+    motions: list[tuple[float, PlannedMotion]] = [
+        (move.begin, move.motion(plan, coordinates)) for move in moves
+    ]
+    begin = end = moves[-1].begin + moves[-1].duration
+    if again is not None:
+        own = make_motion(plan, coordinates, grip)
+        motions.append((again, own))
+        begin, end = again + own.begin, again + own.end
+    return InTurn(motions, begin=begin, end=end, sample_time=plan.sample_time)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,6 +102,13 @@ class Chase:
     def arm(self) -> np.ndarray:
         """p_PC (3) of the true target, in P's axes."""
         return np.array(self.scenario.payload.truth.center_of_mass)
+
+    def capture_of(self, w: np.ndarray, v_P: np.ndarray, arm: np.ndarray, **more: Any) -> Capture:
+        """The capture of a target in a motion [w_WP; v_P] with its centre of mass at p_PC, world
+        axes, with further changes.
+        """
+        rate, velocity = w.tolist(), (v_P + np.cross(w, arm)).tolist()
+        return dataclasses.replace(self.capture, axes="world", rate=rate, velocity=velocity, **more)
 
     def numbered(self, name: str) -> str:
         """The name of a phase of the last try."""

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.plugins.capture.approach import given_approach
+from ffsm_drake.plugins.capture.approach import force_share, given_approach
 from ffsm_drake.plugins.capture.contact import payload_body
 from ffsm_drake.plugins.capture.grasping import Aim, Meeting, target_at
 from ffsm_drake.plugins.capture.phases.approach import CONTACTS
@@ -64,11 +64,10 @@ def _at_rest_in_gripper(now: Situation) -> Scenario:
     body = payload_body(scenario, model)
     w, v_P = np.split(model.calc_jacobian(q, body.body_frame()) @ v, 2)
     arm = body.EvalPoseInWorld(model.context).rotation() @ chase.arm
-    capture = dataclasses.replace(
-        chase.capture,
-        rate=w.tolist(),
-        velocity=(v_P + np.cross(w, arm)).tolist(),
-        axes="world",
+    capture = chase.capture_of(
+        w,
+        v_P,
+        arm,
         servicer="given",
         servicer_velocity=dict(zip(model.coordinates.names, v.tolist(), strict=True)),
         approach=given_approach(scenario),
@@ -90,7 +89,6 @@ def _with_clear_stop(scenario: Scenario, coordinates: Coordinates) -> Scenario:
         return scenario
     model = make_nominal_plant(scenario)
     limit = actuation_limit(scenario, coordinates, helped=True).upper
-    nq, nv = len(coordinates.position_names), len(coordinates.names)
     for factor in _PACES:
         reference = dataclasses.replace(scenario.reference, duration=factor * duration)
         paced = dataclasses.replace(scenario, reference=reference)
@@ -98,8 +96,9 @@ def _with_clear_stop(scenario: Scenario, coordinates: Coordinates) -> Scenario:
         if motion.end > scenario.duration:
             continue
         times = np.linspace(motion.begin, motion.end, _INSTANTS)
-        q, v, a = np.split(motion.rows(times), [nq, nq + nv], axis=1)
-        if (np.abs(model.calc_tracking_force(q, v, a)) <= limit).all() and all(
+        rows = motion.rows(times)
+        q = rows[:, : len(coordinates.position_names)]
+        if force_share(model, rows, limit) <= 1.0 and all(
             each.keeps(scenario.clearance) for each in closest_of(scenario, times, q)
         ):
             return paced
