@@ -17,13 +17,13 @@ allocation, raises ``abort_request``.
 """
 
 import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
 
 import numpy as np
-from pydrake.common.eigen_geometry import Quaternion
-from pydrake.math import RotationMatrix
 
-from ffsm_drake.common.so3 import turning_matrix
+from ffsm_drake.common.so3 import matrix_of, turning_matrix
 from ffsm_drake.plugins.actuators.base import LOST, STUCK_ON
 from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.plugins.actuators.plume import allocated
@@ -53,7 +53,6 @@ KINDS = (
     *("", "stuck_on", "stuck_off", "leaking", "weak", "stops", "jammed"),
     *("frozen", "silent", "biased"),
 )
-MODELS = 3  # the nominal one, with a light and with a heavy payload
 _CODE = {kind: float(code) for code, kind in enumerate(KINDS)}
 # control samples of a block; blocks that are kept; looks until a slope is known
 _EVERY, _KEPT, _OLD = 5, 61, 20
@@ -137,7 +136,19 @@ def _units(scenario: Scenario, coordinates: Coordinates) -> list[str]:
     ]
 
 
-Memory = dict[str, np.ndarray]
+class Memory(SimpleNamespace):
+    """What the detector remembers from sample to sample; methods change it in place.
+
+    Of each thruster, wheel, joint and sensor: the ``codes`` found. Of sensors: ``raw`` and ``seen``
+    state, before and after corrections; biases ``off``, base's axes; for how many samples each is
+    ``stale``, and how often it ``repeats`` its bits; slips ``since`` then, and their mean square
+    ``jitter``; ``observed`` state and ``acceleration`` in place of lost velocities; the usual
+    ``slope`` of slips, after so many ``looks``. Of forces, ``kept`` blocks of ``sums``, the last
+    ``part`` of one, and how many ``blocks`` form a window; ``rough``: mean square of unexplained
+    changes; ``largest`` accelerations of flexible parts; whether the last sample ``jumped``.
+    ``told`` force of units and ``momentum`` of wheels; how often each thruster was ``suspected`` by
+    window. Samples of this ``leg``, which the payload's mass tells.
+    """
 
 
 class Detector(Sampled):
@@ -160,6 +171,7 @@ class Detector(Sampled):
         held = setup.grip.carried(scenario.payload).nominal
         self._leg = float(held.mass)
         factor = self._settings.payload_factor if setup.grip.holds else 1.0
+        # the nominal one, those with a light and with a heavy payload
         self._models = [self._model, *_extremes(scenario, factor)]
         self._payload = (scenario.payload.body, held.mass, 0.5 * sum(held.inertia[:3]))
         self._damping = damping_of(self._model.plant)
@@ -248,26 +260,32 @@ class Detector(Sampled):
         self._sees_forces = bool(self._is_prompt.all())
 
     def _lay_out(self) -> None:
-        nq, nv, base = self._nq, self._nv, self._base
-        size, units = nq + nv, 0 if base is None else len(base.units)
-        thrusters, wheels = (None, None) if base is None else (base.thrusters, base.wheels)
-        self._force = np.zeros(0) if thrusters is None else thrusters.force
-        self._thrusters, self._wheels = thrusters, wheels
-        wheel_count = 0 if wheels is None else len(wheels.names)
-        # unexplained velocities of each model, slips, motions, velocities, commanded impulses,
-        # momenta
-        width = (MODELS + 3) * nv + units + wheel_count
-        self._shapes = {
-            "leg": (1,), "samples": (1,), "blocks": (1,), "looks": (1,), "abort_request": (1,),
-            "raw": (size,), "seen": (size,), "off": (2 * nv,), "stale": (size,),
+        nv, base, size = self._nv, self._base, self._nq + self._nv
+        self._thrusters, self._wheels = (
+            (None, None) if base is None else (base.thrusters, base.wheels)
+        )
+        self._force = np.zeros(0) if self._thrusters is None else self._thrusters.force
+        self._num_units = 0 if base is None else len(base.units)
+        self._num_wheels = self._num_units - len(self._force)
+        # columns of a block: unexplained velocities of each model, slips, motions, velocities,
+        # commanded impulses, momenta that wheels did not take
+        models = len(self._models) * nv
+        widths = {"left": models, "slip": nv, "moved": nv, "velocity": nv}
+        widths |= {"told": self._num_units, "beyond": self._num_wheels}
+        ends = np.cumsum([0, *widths.values()]).tolist()
+        self._at = {
+            name: slice(*pair) for name, pair in zip(widths, itertools.pairwise(ends), strict=True)
+        }
+        self._shapes: dict[str, tuple[int, ...]] = {
+            **dict.fromkeys(("leg", "samples", "blocks", "looks", "abort_request", "jumped"), ()),
+            **dict.fromkeys(("raw", "seen", "stale", "observed"), (size,)),
+            **dict.fromkeys(("off", "since"), (2 * nv,)),
+            **dict.fromkeys(("jitter", "rough", "largest", "slope", "acceleration"), (nv,)),
+            **dict.fromkeys(("sums", "part"), (ends[-1],)),
             "codes": (len(self._names),), "repeats": (len(self._sensors),),
-            "since": (2 * nv,), "jitter": (nv,), "rough": (nv,),
-            "largest": (nv,), "slope": (nv,), "jumped": (1,),
-            "observed": (size,), "acceleration": (nv,), "told": (units,),
-            "momentum": (wheel_count,), "suspected": (len(_WINDOWS) * len(self._force),),
-            "sums": (width,), "part": (width,), "kept": (_KEPT, width),
+            "told": (self._num_units,), "momentum": (self._num_wheels,), "kept": (_KEPT, ends[-1]),
+            "suspected": (len(_WINDOWS), len(self._force)),
         }  # fmt: skip
-        self._num_units, self._num_wheels = units, wheel_count
 
     @property
     def inputs(self) -> Mapping[str, int]:
@@ -293,26 +311,27 @@ class Detector(Sampled):
     def start(self, state: np.ndarray | None = None) -> Arrays:
         """See Sampled; before the start the state was measured."""
         memory = {name: np.zeros(shape) for name, shape in self._shapes.items()}
-        memory["leg"][0] = -1.0
+        memory["leg"] -= 1.0
         if state is not None:
-            memory["raw"][:] = memory["seen"][:] = memory["observed"][:] = state
+            memory |= dict.fromkeys(("raw", "seen", "observed"), state)
         return _flat(memory)
 
     def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
         """See Sampled."""
-        before, after = memory["codes"], dict[str, np.ndarray]()
-        for name, shape in self._shapes.items():
-            after[name] = np.array(memory.get(name, ())).reshape(shape)
+        before, shapes = memory["codes"], self._shapes
+        after = Memory(
+            **{name: np.array(memory.get(name, ())).reshape(shapes[name]) for name in shapes}
+        )
         self._look_at(after, inputs)
         outputs = {
-            "estimated_state": after["seen"].copy(), "fault_detected": before,
+            "estimated_state": after.seen.copy(), "fault_detected": before,
             "abort_request": memory["abort_request"],
         }  # fmt: skip
         if self._may_be_old:
             outputs[IS_NEW] = self._renewed(inputs[IS_NEW], before)
         if self._num_units:
             outputs["isolated"] = self._isolated(before)
-        return outputs, _flat(after)
+        return outputs, _flat(vars(after))
 
     def _renewed(self, new: np.ndarray, codes: np.ndarray) -> np.ndarray:
         """A value in a lost sensor's place is new."""
@@ -337,13 +356,13 @@ class Detector(Sampled):
     def _look_at(self, memory: Memory, inputs: Arrays) -> None:
         """Bring the memory up to date with a sample; ``seen`` is the state without lost sensors."""
         raw = inputs["state"]
-        is_first = memory["leg"][0] != self._leg
-        seen = memory["seen"].copy()
+        is_first = memory.leg != self._leg
+        seen = memory.seen.copy()
         force = self._acting(memory, inputs) - self._damping * seen[self._nq :]
         if is_first:
-            memory["leg"][0] = self._leg
+            memory.leg = self._leg
             self._forget(memory)
-            memory["samples"][0] = 0.0
+            memory.samples = 0.0
         changes = self._changes(seen, np.column_stack([force, self._pushes(seen)]))
         expected = self._step * changes[:, :, 0] * (not is_first)
         self._correct(memory, raw, seen, expected[0], is_first=is_first)
@@ -351,7 +370,7 @@ class Detector(Sampled):
             self._look_at_sensors(memory, raw, seen, inputs.get(IS_NEW))
             if self._collect(memory, seen, expected, changes[0, :, 1:]):
                 self._look_at_blocks(memory, changes[0, :, 1:])
-        memory["raw"][:] = raw
+        memory.raw[:] = raw
 
     def _changes(self, state: np.ndarray, forces: np.ndarray) -> np.ndarray:
         """Accelerations (models, nv, n) under generalized forces (nv, n), of which all but the
@@ -363,29 +382,24 @@ class Detector(Sampled):
         for model in self._models:
             forces[:, 0] = total - model.calc_bias(q, v)
             changes.append(np.linalg.solve(model.calc_mass_matrix(q), forces))
-        return np.array([changes[min(k, len(changes) - 1)] for k in range(MODELS)])
+        return np.array(changes)
 
     def _acting(self, memory: Memory, inputs: Arrays) -> np.ndarray:
         """The force (nv) on the plant in the last sample as reported, with measured wheel torques;
         updates the sums in ``part``.
         """
-        nv, units = self._nv, len(memory["told"])
         force = inputs["told_force"].copy()
-        if self._num_wheels:
-            force += inputs["gyroscopic_force"]
-        if self._num_units:
-            at = (MODELS + 3) * nv
-            memory["sums"][at : at + units] += self._step * memory["told"]
+        memory.sums[self._at["told"]] += self._step * memory.told
         if self._wheels is not None:
-            now, count = inputs["wheel_momentum"], memory["momentum"].size
-            if memory["samples"][0] > 1.0:
-                beyond = now - memory["momentum"] - self._step * memory["told"][-count:]
-                memory["sums"][-count:] += beyond
-                axes = self._turned(memory["seen"]) @ self._wheels.axes
+            force += inputs["gyroscopic_force"]
+            now = inputs["wheel_momentum"]
+            if memory.samples > 1.0:
+                beyond = now - memory.momentum - self._step * memory.told[-now.size :]
+                memory.sums[self._at["beyond"]] += beyond
+                axes = matrix_of(memory.seen[:4]) @ self._wheels.axes
                 force[:3] -= axes @ beyond / self._step
-            memory["momentum"][:] = now
-        if self._num_units:
-            memory["told"][:] = inputs["told_units"]
+            memory.momentum = now
+        memory.told = inputs.get("told_units", memory.told)
         return force
 
     def _pushes(self, state: np.ndarray) -> np.ndarray:
@@ -393,15 +407,8 @@ class Detector(Sampled):
         pushes = np.zeros((self._nv, len(self._force)))
         if self._thrusters is not None:
             pairs = self._thrusters.wrenches.reshape(2, 3, -1)
-            pushes[:6] = (self._turned(state) @ pairs).reshape(6, -1)
+            pushes[:6] = (matrix_of(state[:4]) @ pairs).reshape(6, -1)
         return pushes
-
-    @staticmethod
-    def _turned(state: np.ndarray) -> np.ndarray:
-        """R_WB."""
-        quaternion = Quaternion(state[:4] / np.linalg.norm(state[:4]))
-        rotation: np.ndarray = RotationMatrix(quaternion).matrix()
-        return rotation
 
     @staticmethod
     def _of_base(R: np.ndarray, off: np.ndarray) -> np.ndarray:
@@ -414,7 +421,7 @@ class Detector(Sampled):
     @staticmethod
     def _forget(memory: Memory) -> None:
         """Begin a window with the next block."""
-        memory["blocks"][0] = -1.0
+        memory.blocks = -1.0
 
     def _correct(
         self,
@@ -429,11 +436,11 @@ class Detector(Sampled):
         ``seen`` is the one before.
         """
         nq, nv = self._nq, self._nv
-        off = self._of_base(self._turned(seen), memory["off"])
+        off = self._of_base(matrix_of(seen[:4]), memory.off)
         q, v = _moved(raw[:nq], -off[:nv]), raw[nq:] - off[nv:]
-        lost = self._lost(memory["codes"])
+        lost = self._lost(memory.codes)
         if lost[nv:].any():
-            before, at = memory["observed"], memory["acceleration"]
+            before, at = memory.observed, memory.acceleration
             shift, speed = self._observer.step(before[nq:], at, expected=expected)
             ahead = _moved(before[:nq], shift)
             of_q, of_v, of_a = self._observer.corrections(position_error(q, ahead))
@@ -443,7 +450,7 @@ class Detector(Sampled):
         if lost[:nv].any() and not is_first:
             carried = _moved(seen[:nq], 0.5 * self._step * (seen[nq:] + v))
             q = np.where(np.concatenate([lost[:1], lost[:nv]]), carried, q)
-        memory["seen"][:] = np.concatenate([q, v])
+        memory.seen[:] = np.concatenate([q, v])
 
     def _lost(self, codes: np.ndarray) -> np.ndarray:
         """Mask of the measurements (2 nv) that are replaced."""
@@ -463,130 +470,124 @@ class Detector(Sampled):
         self, memory: Memory, raw: np.ndarray, before: np.ndarray, new: np.ndarray | None
     ) -> None:
         """Detect silent, frozen or jumping sensors."""
-        nq, nv, codes = self._nq, self._nv, memory["codes"]
-        now, old = memory["seen"], memory["raw"]
+        nq, nv, codes = self._nq, self._nv, memory.codes
+        now, old = memory.seen, memory.raw
         moved = position_error(now[:nq], before[:nq])
         slip = moved - 0.5 * self._step * (now[nq:] + before[nq:])
-        memory["since"] += np.tile(slip, 2)
-        memory["stale"][:] = 0.0 if new is None else np.where(new > 0.0, 0.0, memory["stale"] + 1.0)
+        memory.since += np.tile(slip, 2)
+        memory.stale[:] = 0.0 if new is None else np.where(new > 0.0, 0.0, memory.stale + 1.0)
         lost, joints = self._lost(codes), self._jammed(codes)
-        known = memory["samples"][0] >= _LEARNT
+        known = memory.samples >= _LEARNT
         for index, (name, entries) in enumerate(self._sensors.items()):
             columns = entries_in_state(entries)
             if codes[self._unit(name)]:
                 slip[entries[entries < nv]] = 0.0
                 continue
             same = bool((raw[columns] == old[columns]).all())
-            memory["repeats"][index] = memory["repeats"][index] + 1.0 if same else 0.0
+            memory.repeats[index] = memory.repeats[index] + 1.0 if same else 0.0
             if not same:
-                memory["since"][entries] = 0.0
+                memory.since[entries] = 0.0
             prompt = self._is_prompt[entries].all()
-            if (memory["stale"][columns] > self._patience[entries[0]]).all():
+            if (memory.stale[columns] > self._patience[entries[0]]).all():
                 self._lose(memory, name, "silent")
-            elif prompt and self._is_fine[entries].all() and memory["repeats"][index] >= _REPEATED:
-                walk = self._velocity_noise[entries % nv].max() * np.sqrt(memory["repeats"][index])
+            elif prompt and self._is_fine[entries].all() and memory.repeats[index] >= _REPEATED:
+                walk = self._velocity_noise[entries % nv].max() * np.sqrt(memory.repeats[index])
                 least = 1e-7 + self._settings.threshold * self._step * walk  # or it is at rest
-                if (
-                    np.abs(memory["since"][entries]).max() > least
-                    and not joints[entries % nv].any()
-                ):
+                if np.abs(memory.since[entries]).max() > least and not joints[entries % nv].any():
                     self._lose(memory, name, "frozen")
             elif same:
                 continue  # a jump back to the shown value would not be one
             elif prompt and known and entries[0] < nv and not lost[entries + nv].any():
-                size = np.linalg.norm(slip[entries] / np.sqrt(memory["jitter"][entries] + 1e-30))
+                size = np.linalg.norm(slip[entries] / np.sqrt(memory.jitter[entries] + 1e-30))
                 if size > self._settings.threshold + 1.0 and np.linalg.norm(slip[entries]) > _JUMP:
                     found = np.zeros(2 * nv)
                     found[entries] = slip[entries]
-                    memory["off"] += self._of_base(self._turned(now).T, found)
+                    memory.off += self._of_base(matrix_of(now[:4]).T, found)
                     turn = np.zeros(nv)
                     turn[entries] = slip[entries]
                     now[:nq] = _moved(now[:nq], -turn)
                     slip[entries] = 0.0
                     self._lose(memory, name, "biased")
-        gain = 1.0 / min(memory["samples"][0] + 1.0, 4.0 * _LEARNT)
-        memory["jitter"] += gain * (slip**2 - memory["jitter"])
-        at = MODELS * nv
-        memory["sums"][at : at + nv] += slip
-        memory["sums"][at + nv : at + 2 * nv] += moved
+        gain = 1.0 / min(memory.samples + 1.0, 4.0 * _LEARNT)
+        memory.jitter += gain * (slip**2 - memory.jitter)
+        memory.sums[self._at["slip"]] += slip
+        memory.sums[self._at["moved"]] += moved
 
     def _lose(self, memory: Memory, sensor: str, kind: str) -> None:
         """Handle a lost sensor: the estimates of its coordinates are reset."""
         nq, nv, entries = self._nq, self._nv, self._sensors[sensor]
-        memory["codes"][self._unit(sensor)] = _CODE[kind]
-        now = memory["seen"]
+        memory.codes[self._unit(sensor)] = _CODE[kind]
+        now = memory.seen
         if kind != "biased" and entries[0] < nv:  # changes missed meanwhile
             missed = np.zeros(nv)
-            missed[entries] = memory["since"][entries]
+            missed[entries] = memory.since[entries]
             now[:nq] = _moved(now[:nq], -missed)
         elif kind != "biased":
-            memory["observed"][:] = now
-            memory["acceleration"][:] = 0.0
-        lost = self._lost(memory["codes"])
+            memory.observed[:] = now
+            memory.acceleration[:] = 0.0
+        lost = self._lost(memory.codes)
         if (lost[:nv] & lost[nv:]).any() or not self._is_prompt[entries].all():
-            memory["abort_request"][0] = 1.0
+            memory.abort_request = 1.0
         self._forget(memory)
 
     def _collect(
         self, memory: Memory, before: np.ndarray, expected: np.ndarray, pushes: np.ndarray
     ) -> bool:
         """Sums of what is unexplained, in blocks; whether one ends."""
-        nq, nv, now = self._nq, self._nv, memory["seen"]
+        nq, now = self._nq, memory.seen
         left = now[nq:] - before[nq:] - expected  # (models, nv)
-        count = memory["samples"][0] = memory["samples"][0] + 1.0
-        bound = self._settings.threshold * np.sqrt(memory["rough"])
+        count = memory.samples = memory.samples + 1.0
+        bound = self._settings.threshold * np.sqrt(memory.rough)
         bound += self._step * np.abs(pushes) @ self._force
         known = np.clip(left[0], -bound, bound) if count > _LEARNT else left[0]
         # a jump of a sensor is no force; a lasting change is one
         jumps = float((known != left[0]).any())
-        if jumps and not memory["jumped"][0] and memory["blocks"][0] >= _WINDOWS[0]:
+        if jumps and not memory.jumped and memory.blocks >= _WINDOWS[0]:
             self._forget(memory)
             left = left - left[0] + known
-        memory["jumped"][0] = jumps
-        memory["rough"] += (known**2 - memory["rough"]) / min(count, 4.0 * _LEARNT)
-        memory["sums"][: MODELS * nv] += left.ravel()
-        memory["sums"][(MODELS + 2) * nv : (MODELS + 3) * nv] = now[nq:]
-        memory["part"] += memory["sums"] / _EVERY
+        memory.jumped = jumps
+        memory.rough += (known**2 - memory.rough) / min(count, 4.0 * _LEARNT)
+        memory.sums[self._at["left"]] += left.ravel()
+        memory.sums[self._at["velocity"]] = now[nq:]
+        memory.part += memory.sums / _EVERY
         is_whole = bool(count % _EVERY == 0.0)
         if is_whole:
-            memory["kept"][:-1] = memory["kept"][1:].copy()
-            memory["kept"][-1], memory["part"][:] = memory["part"], 0.0
-            memory["blocks"][0] += 1.0
+            memory.kept = np.vstack([memory.kept[1:], memory.part])
+            memory.part = np.zeros_like(memory.part)
+            memory.blocks += 1.0
         return is_whole
 
     def _look_at_blocks(self, memory: Memory, pushes: np.ndarray) -> None:
         """Wheels, joints, velocities, thrusters, in windows of blocks."""
-        valid, step, nv = int(memory["blocks"][0]), _EVERY * self._step, self._nv
-        kept, learnt = memory["kept"], memory["looks"]
-        if valid >= _KEPT or (learnt[0] < _OLD and valid >= 2 * _OLD):
-            old = kept[-min(valid, _KEPT) :][_OLD : 2 * _OLD, MODELS * nv : (MODELS + 1) * nv]
-            learnt[0] += 1.0
-            gain = 1.0 / min(learnt[0], 2.0 * _LEARNT)
-            memory["slope"] += gain * (slope_of(old, step)[0] - memory["slope"])
+        valid, step, nv, kept = int(memory.blocks), _EVERY * self._step, self._nv, memory.kept
+        if valid >= _KEPT or (memory.looks < _OLD and valid >= 2 * _OLD):
+            old = kept[-min(valid, _KEPT) :][_OLD : 2 * _OLD, self._at["slip"]]
+            memory.looks += 1.0
+            gain = 1.0 / min(memory.looks, 2.0 * _LEARNT)
+            memory.slope += gain * (slope_of(old, step)[0] - memory.slope)
         if self._wheels is not None:
             self._look_at_wheels(memory, valid)
         # an unpredictable motion allows no further detection
-        if memory["abort_request"][0] or memory["samples"][0] < _LEARNT:
+        if memory.abort_request or memory.samples < _LEARNT:
             return
         if self._is_flexible and valid >= _KEPT:
             old = np.abs(slope_of(kept[:_OLD, :nv], step)[0])
-            memory["largest"][:] = np.maximum(memory["largest"], old)
-        mass = [model.calc_mass_matrix(memory["seen"][: self._nq]) for model in self._models]
-        bound = self._bound(mass[0], memory["seen"])
-        is_known = not self._is_flexible or bool(memory["largest"].any())
+            memory.largest = np.maximum(memory.largest, old)
+        mass = [model.calc_mass_matrix(memory.seen[: self._nq]) for model in self._models]
+        bound = self._bound(mass[0], memory.seen)
+        is_known = not self._is_flexible or bool(memory.largest.any())
         suspicions = list[Suspicion]()
         for window in (each for each in _WINDOWS if each <= valid):
             blocks = kept[-window:]
-            if learnt[0] >= _OLD:
+            if memory.looks >= _OLD:
                 self._look_at_velocities(memory, blocks)
             if self._sees_forces and not self._are_velocities_off(memory, blocks):
-                velocities = blocks[:, (MODELS + 2) * nv : (MODELS + 3) * nv]
-                acceleration = slope_of(velocities, step)[0]
-                total = bound + self._bound_payload(memory["seen"], acceleration)
+                acceleration = slope_of(blocks[:, self._at["velocity"]], step)[0]
+                total = bound + self._bound_payload(memory.seen, acceleration)
                 self._look_at_joints(memory, blocks, mass, total)
                 if self._thrusters is not None and is_known:
                     most = np.max([np.abs(np.linalg.inv(each)) @ total for each in mass], axis=0)
-                    most += _FLEXIBLE * memory["largest"]
+                    most += _FLEXIBLE * memory.largest
                     stands = self._stand(memory, blocks[-_CONFIRMED:])
                     holds = np.linalg.inv(mass[0])[:, NUM_BASE_VELOCITIES:][:, stands]
                     suspicions.append(self._look_at_thrusters(memory, blocks, pushes, most, holds))
@@ -595,34 +596,33 @@ class Detector(Sampled):
     def _noise(self, memory: Memory) -> np.ndarray:
         """Standard deviation (nv) of a block's mean of the velocities' noise."""
         assumed = self._velocity_noise / np.sqrt(_EVERY)
-        noise: np.ndarray = np.maximum(_white(memory["rough"]), assumed)
+        noise: np.ndarray = np.maximum(_white(memory.rough), assumed)
         return noise
 
     def _notice(self, memory: Memory, unit: str, kind: str) -> None:
-        memory["codes"][self._names.index(unit)] = _CODE[kind]
+        memory.codes[self._names.index(unit)] = _CODE[kind]
         self._forget(memory)
         is_without = self._base is not None and not unit.startswith("joints.")
         if is_without and self._base is not None:
-            is_without = self._base.without(self._isolated(memory["codes"]))[2]
+            is_without = self._base.without(self._isolated(memory.codes))[2]
         if not is_without:
-            memory["abort_request"][0] = 1.0
+            memory.abort_request = 1.0
 
     def _look_at_wheels(self, memory: Memory, valid: int) -> None:
         """Detect a momentum that does not follow the commanded torque."""
         assert self._wheels is not None
         count = len(self._wheels.names)
         for window in (each for each in (_EVERY, *_WINDOWS) if each < valid):
-            change = memory["kept"][-1] - memory["kept"][-1 - window]
-            told, beyond = np.abs(change[-2 * count :].reshape(2, count))
+            change = np.abs(memory.kept[-1] - memory.kept[-1 - window])
+            told, beyond = change[-2 * count :].reshape(2, count)
             for index in np.flatnonzero(beyond > _SHARE * told + _SPEED * self._wheels.inertia):
                 unit = f"wheels.{self._wheels.names[index]}"
-                if not memory["codes"][self._names.index(unit)]:
+                if not memory.codes[self._names.index(unit)]:
                     self._notice(memory, unit, "stops")
 
     def _stand(self, memory: Memory, blocks: np.ndarray) -> np.ndarray:
         """Mask of the joints that stand still."""
-        nv = self._nv
-        moved = blocks[:, (MODELS + 1) * nv : (MODELS + 2) * nv]
+        moved = blocks[:, self._at["moved"]]
         most = _STILL + self._settings.threshold * self._position_noise / np.sqrt(_EVERY)
         still: np.ndarray = (np.ptp(moved, axis=0) < most)[NUM_BASE_VELOCITIES:]
         return still
@@ -640,28 +640,28 @@ class Detector(Sampled):
         if not stands.any():
             return
         time = times_of(len(blocks), step)
-        slopes = (time @ blocks[:, : MODELS * nv] / (time @ time)).reshape(MODELS, nv)
-        forces = np.array([each @ slope for each, slope in zip(mass, slopes, strict=False)])
+        slopes = (time @ blocks[:, self._at["left"]] / (time @ time)).reshape(-1, nv)
+        forces = np.array([each @ slope for each, slope in zip(mass, slopes, strict=True)])
         noise = np.sqrt(mass[0] ** 2 @ self._noise(memory) ** 2 / (time @ time))
         low, high = between(forces)
         beyond = np.maximum(low, -high) - bound - self._settings.threshold * noise
         for index in np.flatnonzero(stands & (beyond[base:] > _LEAST)):
             unit = f"joints.{self._model.coordinates.joints[index]}"
-            if not memory["codes"][self._names.index(unit)]:
+            if not memory.codes[self._names.index(unit)]:
                 self._notice(memory, unit, "jammed")
 
     def _slips(self, memory: Memory, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Difference (nv) between velocities and the slopes of their positions beyond the usual
         one, and its standard deviation.
         """
-        at, step, white = MODELS * self._nv, _EVERY * self._step, _white(memory["jitter"])
-        slope, deviation = slope_of(blocks[:, at : at + self._nv], step, white)
+        step, white = _EVERY * self._step, _white(memory.jitter)
+        slope, deviation = slope_of(blocks[:, self._at["slip"]], step, white)
         velocity = 1.2 * self._velocity_noise / np.sqrt(_EVERY)
         known = times_of(_OLD, step)
         of_usual = np.hypot(white / np.sqrt(known @ known), velocity / np.sqrt(_OLD))
-        of_usual /= np.sqrt(max(memory["looks"][0] / _OLD, 1.0))
+        of_usual /= np.sqrt(max(memory.looks / _OLD, 1.0))
         deviation = np.hypot(deviation, velocity / np.sqrt(len(blocks)))
-        return slope - memory["slope"], np.hypot(deviation, of_usual) + 1e-30
+        return slope - memory.slope, np.hypot(deviation, of_usual) + 1e-30
 
     def _are_velocities_off(self, memory: Memory, blocks: np.ndarray) -> bool:
         """Whether a velocity seems to differ from the slope of its position and cannot reveal
@@ -672,7 +672,7 @@ class Detector(Sampled):
 
     def _look_at_velocities(self, memory: Memory, blocks: np.ndarray) -> None:
         """Detect velocities that differ from the slope of their position."""
-        nv, codes = self._nv, memory["codes"]
+        nv, codes = self._nv, memory.codes
         off, deviation = self._slips(memory, blocks)
         for name, entries in self._sensors.items():
             at = entries - nv
@@ -685,7 +685,7 @@ class Detector(Sampled):
             ):
                 found = np.zeros(2 * nv)
                 found[entries] = off[at]
-                memory["off"] -= self._of_base(self._turned(memory["seen"]).T, found)
+                memory.off -= self._of_base(matrix_of(memory.seen[:4]).T, found)
                 self._lose(memory, name, "biased")
 
     def _look_at_thrusters(
@@ -698,17 +698,16 @@ class Detector(Sampled):
     ) -> Suspicion:
         """The best hypothesis of ``residuals``; ``bound``: of accelerations (nv)."""
         assert self._thrusters is not None
-        nv, count = self._nv, len(self._force)
+        count, (left, told) = len(self._force), (blocks[:, self._at[e]] for e in ("left", "told"))
         pulse = _PULSE * self._thrusters.frame * np.abs(pushes * self._force).max(axis=1)
-        at = (MODELS + 3) * nv
         return suspect(
-            blocks[:, : MODELS * nv].reshape(-1, MODELS, nv),
-            blocks[:, at : at + count],
+            left.reshape(len(blocks), -1, self._nv),
+            told[:, :count],
             pushes=pushes,
             force=self._force,
             bound=bound,
             noise=np.hypot(self._noise(memory), pulse),
-            in_use=memory["codes"][:count] == 0.0,
+            in_use=memory.codes[:count] == 0.0,
             step=_EVERY * self._step,
             band=self._settings.band,
             holds=holds,
@@ -720,7 +719,7 @@ class Detector(Sampled):
         two kinds differ by a constant force.
         """
         found = suspicions[-1]
-        looks = memory["suspected"].reshape(len(_WINDOWS), -1)[_WINDOWS.index(window)]
+        looks = memory.suspected[_WINDOWS.index(window)]
         before, looks[:] = looks[found.thruster], 0.0
         if found.explained > (_ASKED * self._settings.threshold) ** 2 and found.is_isolated:
             looks[found.thruster] = before + 1.0
@@ -730,9 +729,9 @@ class Detector(Sampled):
                 self._notice(memory, self._names[found.thruster], kind)
 
 
-def _flat(memory: Memory) -> Memory:
+def _flat(memory: Arrays) -> Arrays:
     """Vectors, without empty ones."""
-    return {name: values.ravel() for name, values in memory.items() if values.size}
+    return {name: np.ravel(values) for name, values in memory.items() if np.size(values)}
 
 
 def _extremes(scenario: Scenario, factor: float) -> list[PlantModel]:
