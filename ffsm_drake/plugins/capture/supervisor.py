@@ -175,45 +175,6 @@ def _events(run: View) -> Iterator[tuple[float, Mode]]:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class NewPlan:
-    """A motion from a state to rest, planned during a run.
-
-    ``as_row`` is its form in the memory of the supervisor.
-    """
-
-    begin: float  # s
-    duration: float  # s
-    retreats: bool
-    q: np.ndarray  # (nq) at its begin
-    v: np.ndarray  # (nv)
-
-    def as_row(self) -> np.ndarray:
-        """[begin; duration; retreats; q; v]."""
-        return np.concatenate([[self.begin, self.duration, self.retreats], self.q, self.v])
-
-    @classmethod
-    def from_row(cls, row: np.ndarray, num_positions: int) -> "NewPlan":
-        """Build from a row of ``as_row``."""
-        q, v = np.split(row[3:], [num_positions])
-        return cls(begin=row[0], duration=row[1], retreats=bool(row[2]), q=q, v=v)
-
-    def motion(self, scenario: Scenario, coordinates: Coordinates) -> PolynomialMotion:
-        """As a function of the time since its begin."""
-        goal = None if scenario.reference.goal == "stop" else scenario.target_posture
-        if self.retreats and scenario.grasp_time > 0.0:
-            goal = approach_posture(scenario)
-        return PolynomialMotion(
-            coordinates=coordinates,
-            start=posture_of(self.q, coordinates),
-            target=goal,
-            blend=Blend(Reference(), self.duration),
-            base_rotation="eigenaxis",
-            sample_time=scenario.sample_time,
-            velocity=self.v,
-        )
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
 class Supervising(Sampled):
     """The mode logic. ``Supervisor`` makes its new plans.
 
@@ -275,9 +236,7 @@ class Supervising(Sampled):
         return self.modes(self.sample_time * np.asarray(sample), np.zeros(3))
 
     def modes(self, times: np.ndarray, plan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The mode at times (s) along a plan (a row of ``NewPlan``, or zeros), and whether the
-        gripper is empty.
-        """
+        """The mode at times (s) along a new plan (or zeros), and whether the gripper is empty."""
         half = 0.5 * self.sample_time
         is_empty = self.is_empty | (times < self.grasp_time - half)
         end = plan[0] + plan[1] if plan[1] else self.end
@@ -450,32 +409,46 @@ class Supervisor(Sampled):
     def answered(self, memory: Arrays, state: np.ndarray, time: float) -> dict[str, np.ndarray]:
         """Return the memory before a sample that asks, with the plan from its measured state."""
         found = plan_anew(self, state, time, plans=int(memory["plans"][0]))
-        made = {"answer": np.array([2.0 if found is None else 1.0])}
-        return {**memory, **made, **({} if found is None else {"plan": found.as_row()})}
+        if found is None:
+            return {**memory, "answer": np.array([2.0])}
+        return {**memory, "answer": np.array([1.0]), "plan": found}
 
     def motion(self, plan: np.ndarray) -> PolynomialMotion:
-        """The motion of a row of ``NewPlan``, as a function of the time since its begin."""
-        made = NewPlan.from_row(plan.copy(), len(self.coordinates.position_names))
-        return made.motion(self.scenario, self.coordinates)
+        """The motion of a new plan [begin; duration; retreats; q; v] from a state to rest, as a
+        function of the time since its begin.
+        """
+        scenario, coordinates, duration = self.scenario, self.coordinates, float(plan[1])
+        q, v = np.split(plan[3:].copy(), [len(coordinates.position_names)])
+        goal = None if scenario.reference.goal == "stop" else scenario.target_posture
+        if plan[2] and scenario.grasp_time > 0.0:
+            goal = approach_posture(scenario)
+        return PolynomialMotion(
+            coordinates=coordinates,
+            start=posture_of(q, coordinates),
+            target=goal,
+            blend=Blend(Reference(), duration),
+            base_rotation="eigenaxis",
+            sample_time=scenario.sample_time,
+            velocity=v,
+        )
 
 
 def plan_anew(
     supervisor: Supervisor, state: np.ndarray, time: float, *, plans: int
-) -> NewPlan | None:
+) -> np.ndarray | None:
     """Return a plan from the measured state after a number of others. If no plan is within its
     share of the limits: None, or with an empty gripper the plan with the least use of them, because
     rate damping would not hold joints with small inertia against the disturbance.
     """
-    block, scenario = supervisor.block, supervisor.scenario
-    settings, (q, v) = scenario.supervisor, np.split(state, [len(state) - len(block.limit)])
+    block, settings = supervisor.block, supervisor.scenario.supervisor
     assert settings is not None
     most = settings.plan_share * settings.retry_factor**plans * block.limit
     retreats, duration = bool(block.modes(np.array(time), np.zeros(3))[1]), _SHORTEST
     least, gentlest = np.inf, None
     while duration <= _LONGEST:
-        plan = NewPlan(begin=time, duration=duration, retreats=retreats, q=q, v=v)
-        motion = plan.motion(scenario, supervisor.coordinates)
-        share = force_share(block.model, motion.rows(np.linspace(0.0, duration, _INSTANTS)), most)
+        plan = np.concatenate([[time, duration, retreats], state])
+        rows = supervisor.motion(plan).rows(np.linspace(0.0, duration, _INSTANTS))
+        share = force_share(block.model, rows, most)
         if share <= 1.0:
             return plan
         if retreats and share < least:
@@ -496,16 +469,17 @@ class _System(Diagram):
         own = SampledSystem(
             supervisor, name="supervising", sample_time=setup.sample_time, held=True
         )
-        own, passing = builder.AddSystem(own), builder.AddSystem(_Passing(supervisor))
-        passing.set_name("passing")
+        own, passing = (
+            builder.AddSystem(own),
+            builder.AddNamedSystem("passing", _Passing(supervisor)),
+        )
         for port in map(passing.get_input_port, range(passing.num_input_ports())):
             if own.HasOutputPort(name := port.get_name()):
                 builder.Connect(own.GetOutputPort(name), port)
-        for name in ("desired_state", "desired_acceleration", "generalized_force"):
-            index = builder.ExportInput(passing.GetInputPort(f"given_{name}"), name)
+        for name in _PASSED:
+            builder.ExportInput(passing.GetInputPort(f"given_{name}"), name)
             builder.ExportOutput(passing.GetOutputPort(name), name)
-            if name == "generalized_force":
-                builder.ConnectInput(index, own.GetInputPort(name))
+        builder.ConnectInput("generalized_force", own.GetInputPort("generalized_force"))
         builder.Connect(passing.GetOutputPort("desired_state"), own.GetInputPort("desired_state"))
         for name in ("estimated_state", "abort_request"):
             builder.ExportInput(own.GetInputPort(name), name)
@@ -514,7 +488,7 @@ class _System(Diagram):
         builder.BuildInto(self)
 
 
-_MOTION = "given_desired_state", "given_desired_acceleration", "mode", "held", "plan"
+_PASSED = "desired_state", "desired_acceleration", "generalized_force"
 
 
 class _Passing(LeafSystem):
@@ -523,54 +497,50 @@ class _Passing(LeafSystem):
     def __init__(self, supervisor: Supervisor) -> None:
         super().__init__()
         self._supervisor, sizes = supervisor, supervisor.block.outputs
-        states, nv = sizes["held"], sizes["force"]
-        motion = dict(zip(_MOTION, (states, nv, 1, states, sizes["plan"]), strict=True))
-        force = {"given_generalized_force": nv, "restart": 1, "force": nv}
+        given = dict(zip(_PASSED, (sizes["held"], sizes["force"], sizes["force"]), strict=True))
         self._ports = {
-            name: self.DeclareVectorInputPort(name, size) for name, size in (motion | force).items()
+            f"given_{name}": self.DeclareVectorInputPort(f"given_{name}", size)
+            for name, size in given.items()
         }
-        read = {
-            name: self.input_port_ticket(port.get_index()) for name, port in self._ports.items()
-        }
-        for name, within in (
-            ("desired_state", slice(0, states)),
-            ("desired_acceleration", slice(states, states + nv)),
-        ):
-            self.DeclareVectorOutputPort(
-                name,
-                within.stop - within.start,
-                functools.partial(weak_callback(self._calc_motion), within),
-                {self.time_ticket(), *(read[name] for name in motion)},
+        for name in ("mode", "held", "plan", "restart", "force"):
+            self._ports[name] = self.DeclareVectorInputPort(name, sizes[name])
+        of_motion, of_force = (
+            {self.input_port_ticket(self._ports[name].get_index()) for name in names}
+            for names in (
+                ("given_desired_state", "given_desired_acceleration", "mode", "held", "plan"),
+                ("given_generalized_force", "restart", "force"),
             )
-        self.DeclareVectorOutputPort(
-            "generalized_force",
-            nv,
-            weak_callback(self._calc_force),
-            {read[name] for name in force},
         )
+        of_motion.add(self.time_ticket())
+        for index, (name, size) in enumerate(given.items()):
+            calc = functools.partial(weak_callback(self._calc), index)
+            reads = of_force if name == "generalized_force" else of_motion
+            self.DeclareVectorOutputPort(name, size, calc, reads)
         self._motion_of: tuple[bytes, PlannedMotion] | None = None  # a cache, of a new plan's row
         untie(self)
 
-    def _calc_motion(self, within: slice, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._motion(context)[within])
+    def _calc(self, index: int, context: Context, output: BasicVector) -> None:
+        if index == _PASSED.index("generalized_force"):
+            names = "restart", "force", "given_generalized_force"
+            memory = {name: self._ports[name].Eval(context) for name in names}
+            output.SetFromVector(Supervising.give(memory, memory.pop(names[-1])))
+        else:
+            output.SetFromVector(self._motion(context)[index])
 
-    def _motion(self, context: Context) -> np.ndarray:
-        """[q_d; v_d; a_d] of the plan in force; in rate damping the state last measured."""
-        read = {name: port.Eval(context) for name, port in self._ports.items() if name in _MOTION}
-        plan, given = read["plan"], [read[name] for name in _MOTION[:2]]
-        if plan[1] > 0.0:
-            given = np.split(self._along(plan, context.get_time()), [read["held"].size])
-        return np.concatenate(Supervising.follow(read, *given))
+    def _motion(self, context: Context) -> tuple[np.ndarray, ...]:
+        """[q_d; v_d] and a_d of the plan in force; in rate damping the state last measured."""
+        memory = {name: self._ports[name].Eval(context) for name in ("mode", "held", "plan")}
+        if memory["plan"][1] > 0.0:
+            given = self._along(memory["plan"], context.get_time())
+        else:
+            given = [self._ports[f"given_{name}"].Eval(context) for name in _PASSED[:2]]
+        return Supervising.follow(memory, *given)
 
-    def _along(self, plan: np.ndarray, time: float) -> np.ndarray:
-        """[q_d; v_d; a_d] of a new plan."""
+    def _along(self, plan: np.ndarray, time: float) -> list[np.ndarray]:
+        """[q_d; v_d] and a_d of a new plan."""
         key, since, step = plan.tobytes(), time - plan[0], self._supervisor.block.sample_time
         if self._motion_of is None or self._motion_of[0] != key:
             self._motion_of = key, self._supervisor.motion(plan)
         sample = round(since / step) * step
-        return self._motion_of[1].row(sample if abs(sample - since) < 1e-9 else since)
-
-    def _calc_force(self, context: Context, output: BasicVector) -> None:
-        memory = {name: self._ports[name].Eval(context) for name in ("restart", "force")}
-        given = self._ports["given_generalized_force"].Eval(context)
-        output.SetFromVector(Supervising.give(memory, given))
+        row = self._motion_of[1].row(sample if abs(sample - since) < 1e-9 else since)
+        return np.split(row, [len(plan) - 3])

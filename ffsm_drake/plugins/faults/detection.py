@@ -30,7 +30,6 @@ from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.plugins.actuators.row import make_base_actuators
 from ffsm_drake.plugins.estimators.estimators import assumed_noise
 from ffsm_drake.plugins.faults.residuals import (
-    Observer,
     Suspicion,
     between,
     slope_of,
@@ -191,9 +190,10 @@ class Detector(Sampled):
             base = np.zeros(NUM_BASE_VELOCITIES)
             self._friction = np.concatenate([base, drives.static])
             self._viscous = np.concatenate([base, drives.viscous])
-        self._observer = Observer(
-            coordinates.vector(_BANDWIDTH, key="bandwidth", default=0.0), self._step
-        )
+        # of the observer of lost velocities: three equal poles for each coordinate, without
+        # steady-state error under a constant unreported force
+        w = coordinates.vector(_BANDWIDTH, key="bandwidth", default=0.0)
+        self._gains = np.array([3.0 * w, 3.0 * w**2, w**3]) * self._step
         self._lay_out()
 
     def _bound_disturbance(self, scenario: Scenario, coordinates: Coordinates) -> None:
@@ -440,13 +440,14 @@ class Detector(Sampled):
         q, v = _moved(raw[:nq], -off[:nv]), raw[nq:] - off[nv:]
         lost = self._lost(memory.codes)
         if lost[nv:].any():
-            before, at = memory.observed, memory.acceleration
-            shift, speed = self._observer.step(before[nq:], at, expected=expected)
-            ahead = _moved(before[:nq], shift)
-            of_q, of_v, of_a = self._observer.corrections(position_error(q, ahead))
-            before[:nq], before[nq:] = _moved(ahead, of_q), speed + of_v
-            at += of_a
-            v = np.where(lost[nv:], before[nq:], v)
+            before, speed = np.split(memory.observed, [nq])
+            change = expected + self._step * memory.acceleration
+            ahead = _moved(before, self._step * (speed + 0.5 * change))
+            of_q, of_v, of_a = self._gains * position_error(q, ahead)
+            speed = speed + change + of_v
+            memory.observed = np.concatenate([_moved(ahead, of_q), speed])
+            memory.acceleration += of_a
+            v = np.where(lost[nv:], speed, v)
         if lost[:nv].any() and not is_first:
             carried = _moved(seen[:nq], 0.5 * self._step * (seen[nq:] + v))
             q = np.where(np.concatenate([lost[:1], lost[:nv]]), carried, q)

@@ -183,31 +183,3 @@ def _left_by_jams(low: np.ndarray, high: np.ndarray, along: np.ndarray) -> np.nd
         first, last = np.where(more, middle, first), np.where(more, last, middle)
     left: np.ndarray = (missing(0.5 * (first + last)) ** 2).sum(axis=(0, 1))
     return left
-
-
-class Observer:
-    """Velocities from measured positions and expected changes: three equal poles for each
-    coordinate, without steady-state error under a constant unreported force.
-    """
-
-    def __init__(self, bandwidth: np.ndarray, sample_time: float) -> None:
-        """Args: of each coordinate (nv), rad/s; s."""
-        w = bandwidth
-        self._step = sample_time
-        self._gains = 3.0 * w * sample_time, 3.0 * w**2 * sample_time, w**3 * sample_time
-
-    def step(
-        self, v: np.ndarray, a: np.ndarray, *, expected: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement (nv) in a sample, and the velocity (nv) at its end, from the
-        velocity at its start, an unmodelled acceleration and an expected change of velocity.
-        """
-        change = expected + self._step * a
-        return self._step * (v + 0.5 * change), v + change
-
-    def corrections(self, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Corrections of position, velocity and acceleration, from the position's innovation
-        (nv).
-        """
-        of_q, of_v, of_a = (gain * seen for gain in self._gains)
-        return of_q, of_v, of_a
