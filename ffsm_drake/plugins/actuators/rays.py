@@ -1,7 +1,6 @@
 """Intersections of rays with Drake's shapes."""
 
 import math
-from functools import singledispatch
 
 import numpy as np
 from pydrake.geometry import Box, Capsule, Convex, Cylinder, Ellipsoid, Mesh, Shape, Sphere
@@ -50,48 +49,27 @@ def _corners(shape: Convex | Mesh) -> np.ndarray:
     return np.stack([vertices.min(axis=0), vertices.max(axis=0)])
 
 
-@singledispatch
 def _span(shape: Shape, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Parameters s at which rays p + s u enter and leave a convex shape."""
+    if isinstance(shape, Box):
+        return _within(0.5 * np.array(shape.size()), p, u)
+    if isinstance(shape, Convex | Mesh):
+        low, high = _corners(shape)
+        return _within(0.5 * (high - low), p - 0.5 * (high + low), u)
+    if isinstance(shape, Sphere | Ellipsoid):
+        sphere = isinstance(shape, Sphere)
+        axes = shape.radius() if sphere else np.array([shape.a(), shape.b(), shape.c()])
+        return _round(p / axes, u / axes)
+    if isinstance(shape, Cylinder | Capsule):
+        barrel = _barrel(shape.radius(), shape.length(), p, u)
+        if isinstance(shape, Cylinder):
+            return barrel
+        end = np.array([0.0, 0.0, 0.5 * shape.length()])
+        balls = (_round((p + each) / shape.radius(), u / shape.radius()) for each in (end, -end))
+        enters, leaves = np.moveaxis([barrel, *balls], 1, 0)
+        known = np.where(enters <= leaves, enters, np.inf)
+        return known.min(axis=0), np.where(enters <= leaves, leaves, -np.inf).max(axis=0)
     return np.full(len(p), np.inf), np.full(len(p), -np.inf)
-
-
-@_span.register
-def _(shape: Box, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return _within(0.5 * np.array(shape.size()), p, u)
-
-
-@_span.register(Convex)
-@_span.register(Mesh)
-def _(shape: Convex | Mesh, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    low, high = _corners(shape)
-    return _within(0.5 * (high - low), p - 0.5 * (high + low), u)
-
-
-@_span.register
-def _(shape: Sphere, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return _round(p / shape.radius(), u / shape.radius())
-
-
-@_span.register
-def _(shape: Ellipsoid, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    axes = np.array([shape.a(), shape.b(), shape.c()])
-    return _round(p / axes, u / axes)
-
-
-@_span.register
-def _(shape: Cylinder, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return _barrel(shape.radius(), shape.length(), p, u)
-
-
-@_span.register
-def _(shape: Capsule, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    end = np.array([0.0, 0.0, 0.5 * shape.length()])
-    parts = [_barrel(shape.radius(), shape.length(), p, u)]
-    parts += [_round((p + each) / shape.radius(), u / shape.radius()) for each in (end, -end)]
-    known = [np.where(enters <= leaves, enters, np.inf) for enters, leaves in parts]
-    out = [np.where(enters <= leaves, leaves, -np.inf) for enters, leaves in parts]
-    return np.min(known, axis=0), np.max(out, axis=0)
 
 
 def _within(half: np.ndarray, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

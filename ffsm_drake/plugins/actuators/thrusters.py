@@ -296,26 +296,6 @@ class FiredThrusters(Part):
         along the feasible part of the commanded base force, the integral of its size over the
         largest specific impulse.
         """
-
-        return (
-            *self._propellant_metrics(),
-            self._by_unit("impulse", "N s", self._impulse),
-            _of_all("impulse", "N s", self._impulse),
-            self._by_unit("pulses", "1", _count),
-            _of_all("pulses", "1", _count, heading="pulses"),
-            self._by_unit("on_time", "s", lambda run: _opened(run).sum(axis=0) * _period(run)),
-            Metric(key="thrusters.shortest_pulse", unit="s", label="", column="", of=_shortest),
-            Metric(
-                key="thrusters.saturated",
-                unit="1",
-                label="Samples with less than the commanded wrench",
-                heading="thrusters saturated [share]",
-                shown="%",
-                of=lambda run: self.saturated(run)[:-1].mean() if len(run.time) > 1 else 0.0,
-            ),
-        )
-
-    def _propellant_metrics(self) -> Sequence[Metric]:
         grams = functools.partial(Metric, unit="kg", shown="g", factor=1e3)
         return (
             grams(
@@ -331,6 +311,20 @@ class FiredThrusters(Part):
                 label="Lower bound, for the commanded force",
                 column="",
                 of=self._least_propellant,
+            ),
+            self._by_unit("impulse", "N s", self._impulse),
+            _of_all("impulse", "N s", self._impulse),
+            self._by_unit("pulses", "1", _count),
+            _of_all("pulses", "1", _count, heading="pulses"),
+            self._by_unit("on_time", "s", lambda run: _opened(run).sum(axis=0) * _period(run)),
+            Metric(key="thrusters.shortest_pulse", unit="s", label="", column="", of=_shortest),
+            Metric(
+                key="thrusters.saturated",
+                unit="1",
+                label="Samples with less than the commanded wrench",
+                heading="thrusters saturated [share]",
+                shown="%",
+                of=lambda run: self.saturated(run)[:-1].mean() if len(run.time) > 1 else 0.0,
             ),
         )
 

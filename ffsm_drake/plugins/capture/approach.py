@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
@@ -75,10 +75,13 @@ def _clear_start(scenario: Scenario) -> Posture:
     best, kept = -np.inf, approach.posture
     needed = scenario.clearance + approach.margin
     wide, share_of = max(_WIDE, needed), shares_of(scenario)
-    for joints, way in itertools.product(
-        (kept.joints, scenario.initial_posture.joints), _ways(end - X_WP.translation())
+    for joints, direction, length in itertools.product(
+        (kept.joints, scenario.initial_posture.joints),
+        outwards(end - X_WP.translation()),
+        _LENGTHS,
     ):
-        posture = dataclasses.replace(kept, base_position=(end + way).tolist(), joints=joints)
+        place = end + length * direction
+        posture = dataclasses.replace(kept, base_position=place.tolist(), joints=joints)
         motion = approach_motion(scenario, model, contact, posture)
         # one that is nearer at any instant is neither the best nor returned
         margins = functools.partial(
@@ -100,12 +103,6 @@ def _clear_start(scenario: Scenario) -> Posture:
             limit="clearance",
         )
     return widest
-
-
-def _ways(away: np.ndarray) -> Iterator[np.ndarray]:
-    """Displacements (3) from the grasp, those away from the target first."""
-    for direction in outwards(away):
-        yield from (length * direction for length in _LENGTHS)
 
 
 def outwards(away: np.ndarray) -> np.ndarray:

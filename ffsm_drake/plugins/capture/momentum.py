@@ -12,13 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.common.eigen_geometry import Quaternion
-from pydrake.math import RotationMatrix
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import number, percent
-from ffsm_drake.common.so3 import in_body_axes, quaternion_rate
+from ffsm_drake.common.so3 import in_body_axes, matrix_of, quaternion_rate
 from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.scenario import Capture, Scenario, planned_part
 from ffsm_drake.spacecraft.clearance import Clearance
@@ -120,7 +118,7 @@ def _budget_of(scenario: Scenario, files: tuple[Path, ...]) -> MomentumBudget:
     linear, of_bodies = contact.momentum_after[3:], contact.spin_after
     angular = of_bodies  # including stored momentum
     if storage is not None:
-        angular = of_bodies + _attitude(contact.q) @ storage.initial
+        angular = of_bodies + matrix_of(contact.q[:4]) @ storage.initial
     times, q, spin = _along(scenario, model, contact.q)
     end = free_floating(model, q[-1])
     mass = float(end.mass_matrix[3, 3])
@@ -180,10 +178,6 @@ def _along(
         motion.rows(times), np.cumsum([q.size, len(model.coordinates.names)]), axis=1
     )
     return times, positions, (free_floating(model, positions).spin_map @ v[..., None])[..., 0]
-
-
-def _attitude(q: np.ndarray) -> np.ndarray:
-    return RotationMatrix(Quaternion(q[:4])).matrix()
 
 
 def _storage(scenario: Scenario) -> tuple[str, MomentumStorage | None]:
@@ -333,12 +327,12 @@ def _coast(
     """
     from scipy.integrate import solve_ivp
 
-    R_WB, inertia, offset = _attitude(q), stack.spin_map[:, :3], stack.center_of_mass
+    R_WB, inertia, offset = matrix_of(q[:4]), stack.spin_map[:, :3], stack.center_of_mass
     times = np.linspace(0.0, LONGEST, _INSTANTS_AFTER)
 
     def turned(quaternion: np.ndarray) -> np.ndarray:
         """From then to now."""
-        return _attitude(quaternion / np.linalg.norm(quaternion)) @ R_WB.T
+        return matrix_of(quaternion) @ R_WB.T
 
     def rate(time: float, quaternion: np.ndarray) -> np.ndarray:
         R = turned(quaternion)

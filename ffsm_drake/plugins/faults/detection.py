@@ -677,7 +677,11 @@ class Detector(Sampled):
         off, deviation = self._slips(memory, blocks)
         for name, entries in self._sensors.items():
             at = entries - nv
-            if at[0] < 0 or codes[self._unit(name)] or codes[self._unit(_position_of(name))]:
+            if (
+                at[0] < 0
+                or codes[self._unit(name)]
+                or codes[self._unit(name.removesuffix("_velocity"))]
+            ):
                 continue
             if not (self._is_prompt[entries].all() and self._is_prompt[at].all()):
                 continue
@@ -755,10 +759,6 @@ def _white(square: np.ndarray) -> np.ndarray:
     """The noise of a block's mean, from the mean square of the differences of its samples."""
     noise: np.ndarray = np.sqrt(square / (2.0 * _EVERY))
     return noise
-
-
-def _position_of(velocity: str) -> str:
-    return velocity.removesuffix("_velocity")
 
 
 def _moved(q: np.ndarray, by: np.ndarray) -> np.ndarray:
