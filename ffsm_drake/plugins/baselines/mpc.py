@@ -29,13 +29,12 @@ from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import numpy as np
-from pydrake.common.eigen_geometry import Quaternion
-from pydrake.math import RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.solvers import ClarabelSolver, MathematicalProgram, SolverOptions
 from pydrake.systems.controllers import DiscreteTimeLinearQuadraticRegulator
 from scipy.optimize import nnls
 
+from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, RATE, tightest
@@ -241,7 +240,7 @@ class Mpc(ControlLaw):
         H = self.model.calc_mass_matrix(sample.q)
         estimate, memory = self.estimator.step(sample, H, state)
         known = estimate.base_force + H @ (sample.a_d - estimate.base_acceleration)
-        R_WB = RotationMatrix(Quaternion(sample.q[:4] / np.linalg.norm(sample.q[:4]))).matrix()
+        R_WB = matrix_of(sample.q[:4])
         now = _Now(
             x=np.stack([estimate.e, estimate.e_dot], axis=-1),
             mass_matrix=H,
