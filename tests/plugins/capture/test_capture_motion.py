@@ -6,6 +6,7 @@ import copy
 
 import numpy as np
 import pytest
+from consistent_motions import assert_consistent
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
@@ -34,19 +35,6 @@ def motion_of(*overrides):
 
 def parts(row):
     return row[..., :NQ], row[..., NQ : NQ + NV], row[..., NQ + NV :]
-
-
-def assert_consistent(motion, times, *, h=1e-4):
-    """Rates are those of the positions, accelerations those of the rates."""
-    before, now, after = (parts(motion.rows(times + dt)) for dt in (-h, 0.0, h))
-    turn = (
-        Rotation.from_quat(after[0][:, :4], scalar_first=True)
-        * Rotation.from_quat(before[0][:, :4], scalar_first=True).inv()
-    )
-    assert_allclose(turn.as_rotvec() / (2 * h), now[1][:, :3], atol=1e-8)
-    assert_allclose((after[0][:, 4:] - before[0][:, 4:]) / (2 * h), now[1][:, 3:], atol=1e-8)
-    assert_allclose((after[1] - before[1]) / (2 * h), now[2], atol=1e-8)
-    assert_allclose(np.linalg.norm(now[0][:, :4], axis=1), 1.0, atol=1e-14)
 
 
 @pytest.mark.smoke
@@ -84,7 +72,7 @@ def test_it_goes_through_the_grasp_with_the_velocities_of_both_sides(goal):
     assert_allclose(q, contact.q, atol=1e-6)
     assert_allclose(v, contact.velocity, atol=1e-10)
     assert_allclose(a, 0.0, atol=1e-6)
-    assert_consistent(motion, np.array([0.3, 4.1, 11.8, 12.3, 20.0, 31.0]))
+    assert_consistent(motion, [0.3, 4.1, 11.8, 12.3, 20.0, 31.0], h=1e-4, atol=1e-8)
     start, end = parts(motion.row(0.0)), parts(motion.row(35.0))
     for _, v, a in (start, end):
         assert_allclose(v, 0.0, atol=1e-17)

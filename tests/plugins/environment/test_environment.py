@@ -10,8 +10,9 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, JacobianWrtVariable, RotationalInertia, SpatialInertia
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import DiagramBuilder
+from refusals import assert_refused
 
-from ffsm_drake import ScenarioError, load_scenario
+from ffsm_drake import load_scenario
 from ffsm_drake.plugins.analysis.balances import energy_residual
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.environment.environment import EnvironmentForce, orbital_force
@@ -167,16 +168,6 @@ def drift(settings: Environment, start, time: float, **values) -> np.ndarray:
     return np.concatenate(
         [in_hill @ after[4:7], in_hill @ after[10:] - np.cross(rate, in_hill @ after[4:7])]
     )
-
-
-@pytest.mark.parametrize("time", [20.0, 300.0])
-def test_a_metre_higher_drifts_away(time):
-    """0.8 mm and 0.17 m, 3 n^2 per s^2; less where the orbit bends."""
-    after = drift(Environment(hill_rpy=[0.3, -0.4, 1.0]), [1, 0, 0, 0, 0, 0], time)
-    moved = after[0] - 1.0
-    angle = mean_motion(Environment()) * time
-    assert moved == pytest.approx(1.5 * angle**2, rel=0.01)
-    assert moved == pytest.approx(3.0 * (1.0 - np.cos(angle)), rel=1e-6)
 
 
 def test_motion_about_the_orbit_is_clohessy_and_wiltshires():
@@ -462,7 +453,4 @@ def test_the_linear_loop_takes_it():
     ],
 )
 def test_errors_are_one_clear_line(settings, expected):
-    with pytest.raises(ScenarioError) as error:
-        load_scenario("postcapture", [f"environment={{{settings}}}"])
-    assert expected in str(error.value)
-    assert "\n" not in str(error.value)
+    assert_refused(expected, "postcapture", f"environment={{{settings}}}")

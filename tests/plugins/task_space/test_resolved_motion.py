@@ -4,8 +4,8 @@ left alone.
 
 import numpy as np
 import pytest
+from consistent_motions import assert_consistent, parts_of
 from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.plugins.capture.contact import planned_contact
@@ -27,20 +27,6 @@ def motion_of(name, *overrides):
     scenario = load_scenario(name, overrides)
     model = make_nominal_plant(scenario)
     return make_motion(scenario, model.coordinates), model, scenario
-
-
-def parts(motion, times):
-    nq = len(motion.coordinates.position_names)
-    return np.split(motion.rows(np.asarray(times)), [nq, 2 * nq - 1], axis=1)
-
-
-def assert_consistent(motion, times, *, h=1e-3, atol=1e-7):
-    """Rates are those of the positions, accelerations those of the rates."""
-    before, now, after = (parts(motion, np.asarray(times) + step) for step in (-h, 0.0, h))
-    turns = [Rotation.from_quat(q[:, :4], scalar_first=True) for q in (before[0], after[0])]
-    assert_allclose((turns[1] * turns[0].inv()).as_rotvec() / (2 * h), now[1][:, :3], atol=atol)
-    assert_allclose((after[0][:, 4:] - before[0][:, 4:]) / (2 * h), now[1][:, 3:], atol=atol)
-    assert_allclose((after[1] - before[1]) / (2 * h), now[2], atol=atol)
 
 
 @pytest.mark.smoke
@@ -69,10 +55,10 @@ def test_the_arm_alone_takes_the_frame_along_its_path():
     assert max(found.attitude_miss.max(), found.position_miss.max()) < 1e-9
     assert found.base_turn.max() > 0.5  # rad: nothing holds it
     times = np.array([1.0, 8.7, 16.0, 20.0, 25.0])
-    q, v, a = parts(motion, times)
+    q, v, a = parts_of(motion, times)
     assert np.abs(free_floating(model, q).momentum(v)).max() < 1e-13
     assert np.abs(model.calc_inverse_dynamics(q, v, a)[:, :6]).max() < 1e-12
-    assert_consistent(motion, times[:3])
+    assert_consistent(motion, times[:3], h=1e-3, atol=1e-7)
     assert max(np.abs(v[3:]).max(), np.abs(a[3:]).max()) < 1e-7  # at rest
     assert motion.remarks() == []
 
@@ -128,7 +114,7 @@ def test_a_motion_of_the_joints_in_the_reaction_null_space():
         "reaction_null", target, "reference.frame={task: none, hold: [base_rotation]}"
     )
     assert motion.resolution(np.linspace(0.0, 30.0, 31)).base_turn.max() < 1e-12
-    q, v, _ = parts(motion, [0.0, 10.0, 30.0, 33.0])
+    q, v, _ = parts_of(motion, [0.0, 10.0, 30.0, 33.0])
     left = np.linalg.norm(q[:, 7:] - 0.5, axis=1)
     assert left[2] < 0.9 * left[0]  # as far as that lets it
     assert np.linalg.norm(v[1, 3:6]) > 1e-4
@@ -148,14 +134,14 @@ def test_after_a_capture_it_goes_on_with_the_momentum_of_both():
     )
     contact = planned_contact(scenario, model)
     times = np.array([0.0, 4.0, 15.0, 24.0])
-    q, v, _ = parts(motion, times)
+    q, v, _ = parts_of(motion, times)
     assert_allclose(v[0], contact.grasp.velocity, atol=1e-15)
     assert_allclose(
         free_floating(model, q).momentum(v), np.tile(contact.momentum_after, (4, 1)), atol=1e-12
     )
     assert motion.resolution(times).attitude_miss.max() < 1e-9
     assert np.abs(v[3]).max() > 1e-4  # the frame rests, the rest does not
-    assert_consistent(motion, times[1:])
+    assert_consistent(motion, times[1:], h=1e-3, atol=1e-7)
 
 
 @pytest.mark.slow
@@ -165,7 +151,7 @@ def test_with_the_base_driven_the_joints_do_it_and_the_base_keeps_its_motion():
     alone, _, _ = motion_of("postcapture")
     times = np.array([3.0, 11.0, 20.0])
     assert motion.resolution(times).position_miss.max() < 1e-9
-    for mine, its in zip(parts(motion, times), parts(alone, times), strict=True):
+    for mine, its in zip(parts_of(motion, times), parts_of(alone, times), strict=True):
         assert_allclose(mine[:, :6], its[:, :6], atol=1e-8)
 
 
