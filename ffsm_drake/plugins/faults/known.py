@@ -1,0 +1,247 @@
+"""What fault detection knows beforehand: the units and their noise, models, bounds of forces; and
+the layout of what it remembers.
+"""
+
+import dataclasses
+import itertools
+from types import SimpleNamespace
+
+import numpy as np
+
+from ffsm_drake.common.so3 import matrix_of
+from ffsm_drake.plugins.actuators.base import LOST, STUCK_ON
+from ffsm_drake.plugins.actuators.drives import DriveSet
+from ffsm_drake.plugins.actuators.plume import allocated
+from ffsm_drake.plugins.actuators.row import make_base_actuators
+from ffsm_drake.plugins.estimators.estimators import assumed_noise
+from ffsm_drake.plugins.faults.sensors import sensors_of
+from ffsm_drake.scenario import Scenario, thrusters_of
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.nominal import PlantModel, damping_of, make_nominal_plant
+from ffsm_drake.spacecraft.orbit import Orbit
+from ffsm_drake.systems.faults import hits
+from ffsm_drake.systems.sensing.errors import measurement_times
+from ffsm_drake.systems.setup import BlockSetup
+
+KINDS = (
+    *("", "stuck_on", "stuck_off", "leaking", "weak", "stops", "jammed"),
+    *("frozen", "silent", "biased"),
+)
+CODE = {kind: float(code) for code, kind in enumerate(KINDS)}
+# control samples of a block; blocks that are kept; looks until a slope is known
+EVERY, KEPT, OLD = 5, 61, 20
+WINDOWS = (8, 24, 60)  # blocks
+LEARNT = 50  # samples, or blocks, after which a variance is known
+_OFF = 0.2  # uncertain share of the payload's radius of gyration (centre) and moments
+_BANDWIDTH = {"base_rotation": 8.0, "base_position": 2.0, "joints": 10.0}  # rad/s
+
+
+def units_of(scenario: Scenario, coordinates: Coordinates) -> list[str]:
+    """All units that may be reported, with the names in ``faults``."""
+    thrusters, wheels = scenario.actuation.thrusters, scenario.wheels
+    return [
+        *(f"thrusters.{name}" for name in ({} if thrusters is None else thrusters_of(thrusters))),
+        *(f"wheels.{name}" for name in ({} if wheels is None else wheels.units)),
+        *(f"joints.{name}" for name in coordinates.joints),
+        *(f"sensing.{name}" for name in sensors_of(coordinates)),
+    ]
+
+
+class Memory(SimpleNamespace):
+    """What the detector remembers from sample to sample; methods change it in place.
+
+    Of each thruster, wheel, joint and sensor: the ``codes`` found. Of sensors: ``raw`` and ``seen``
+    state, before and after corrections; biases ``off``, base's axes; for how many samples each is
+    ``stale``, and how often it ``repeats`` its bits; slips ``since`` then, and their mean square
+    ``jitter``; ``observed`` state and ``acceleration`` in place of lost velocities; the usual
+    ``slope`` of slips, after so many ``looks``. Of forces, ``kept`` blocks of ``sums``, the last
+    ``part`` of one, and how many ``blocks`` form a window; ``rough``: mean square of unexplained
+    changes; ``largest`` accelerations of flexible parts; whether the last sample ``jumped``.
+    ``told`` force of units and ``momentum`` of wheels; how often each thruster was ``suspected`` by
+    window. Samples of this ``leg``, which the payload's mass tells.
+    """
+
+
+class Known:
+    """Constants of a scenario, and functions of a state."""
+
+    def __init__(self, setup: BlockSetup) -> None:
+        scenario, coordinates = setup.scenario, setup.coordinates
+        assert scenario.faults is not None
+        assert scenario.faults.detection is not None
+        self._settings, self._step = scenario.faults.detection, setup.sample_time
+        self._model, self._names = setup.nominal, units_of(scenario, coordinates)
+        self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)
+        # the nominal payload changes at a grasp
+        held = setup.grip.carried(scenario.payload).nominal
+        self._leg = float(held.mass)
+        factor = self._settings.payload_factor if setup.grip.holds else 1.0
+        # the nominal one, those with a light and with a heavy payload
+        self._models = [self._model, *_extremes(scenario, factor)]
+        self._payload = (scenario.payload.body, held.mass, 0.5 * sum(held.inertia[:3]))
+        self._damping = damping_of(self._model.plant)
+        self._is_flexible = bool(scenario.model.flexible)
+        actuation = allocated(scenario)
+        self._base = None
+        if actuation.thrusters is not None or actuation.wheels is not None:
+            self._base = make_base_actuators(
+                actuation, coordinates, sample_time=self._step, detects=True
+            )
+        self._read_sensors(scenario, coordinates)
+        self._bound_disturbance(scenario, coordinates)
+        nothing = np.zeros(self._nv)
+        self._friction, self._viscous = nothing, nothing
+        if actuation.drives is not None:
+            drives = DriveSet(actuation.drives, actuation.limit, coordinates)
+            base = np.zeros(NUM_BASE_VELOCITIES)
+            self._friction = np.concatenate([base, drives.static])
+            self._viscous = np.concatenate([base, drives.viscous])
+        # of the observer of lost velocities: three equal poles for each coordinate, without
+        # steady-state error under a constant unreported force
+        w = coordinates.vector(_BANDWIDTH, key="bandwidth", default=0.0)
+        self._gains = np.array([3.0 * w, 3.0 * w**2, w**3]) * self._step
+        self._lay_out()
+
+    def _bound_disturbance(self, scenario: Scenario, coordinates: Coordinates) -> None:
+        """The largest external force (nv), and twice that of an orbit by inertia, 1/s^2."""
+        given, of = self._settings.disturbance, scenario.disturbance
+        self._orbital = 0.0
+        if given is not None:
+            key = "faults.detection.disturbance"
+            self._disturbance = coordinates.vector(given, key=key, default=0.0)
+            return
+        largest = {
+            name: abs(of.amplitude_scale) * (abs(each.amplitude) + abs(each.bias))
+            for name, each in of.harmonics.items()
+        }
+        self._disturbance = coordinates.vector(largest, key="disturbance.harmonics", default=0.0)
+        if scenario.environment is not None:
+            self._orbital = 3.0 * float(Orbit.of(scenario.environment).rate) ** 2
+
+    def _bound(self, mass: np.ndarray, state: np.ndarray) -> np.ndarray:
+        """The largest force (nv) that is neither reported nor a fault, friction included."""
+        inertia = 0.5 * np.trace(mass[:3, :3]) + mass[3, 3] * (state[4:7] @ state[4:7])
+        orbital = self._orbital * np.sqrt(np.diag(mass) * inertia)
+        rates = np.abs(state[self._nq :])
+        bound: np.ndarray = self._disturbance + orbital + self._friction + self._viscous * rates
+        return bound
+
+    def _bound_payload(self, state: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+        """The largest force (nv) of a payload whose centre of mass and axes of inertia are not the
+        nominal ones, at an acceleration (nv).
+        """
+        model, (name, mass, moment) = self._model, self._payload
+        if mass == 0.0:
+            return np.zeros(self._nv)
+        q, v = np.split(state, [self._nq])
+        jacobian = model.calc_jacobian(q, name)
+        moved = jacobian @ acceleration + model.calc_bias_acceleration(q, v, name)
+        turning = np.linalg.norm(moved[:3]) + np.sum((jacobian[:3] @ v) ** 2)
+        offset = _OFF * np.sqrt(mass * moment)  # its mass times how far its centre is off
+        torque = offset * np.linalg.norm(moved[3:]) + _OFF * moment * turning
+        sizes = np.linalg.norm(jacobian.reshape(2, 3, -1), axis=1)
+        bound: np.ndarray = torque * sizes[0] + offset * turning * sizes[1]
+        return bound
+
+    def _read_sensors(self, scenario: Scenario, coordinates: Coordinates) -> None:
+        """Read the sensors' properties: update pattern and noise."""
+        self._sensors = sensors_of(coordinates)
+        period, delay = measurement_times(scenario.sensing, coordinates)
+        self._is_prompt = (period == 1) & (delay == 0)
+        self._patience = 3 * period + delay  # control samples without anything new
+        noise = assumed_noise(scenario, coordinates)
+        self._position_noise, self._velocity_noise = noise
+        quantized = [
+            coordinates.vector(of, key="sensing", default=0.0)
+            for of in (
+                scenario.sensing.position_quantization,
+                scenario.sensing.velocity_quantization,
+            )
+        ]
+        self._is_fine = np.concatenate(quantized) == 0.0
+        self._position_noise = self._position_noise + quantized[0]
+        self._velocity_noise = self._velocity_noise + quantized[1]
+        silent = any(fault.kind == "silent" for _, fault in hits(scenario, "sensing"))
+        self._may_be_old = silent or bool((period > 1).any())
+        self._sees_forces = bool(self._is_prompt.all())
+
+    def _lay_out(self) -> None:
+        nv, base, size = self._nv, self._base, self._nq + self._nv
+        self._thrusters, self._wheels = (
+            (None, None) if base is None else (base.thrusters, base.wheels)
+        )
+        self._force = np.zeros(0) if self._thrusters is None else self._thrusters.force
+        self._num_units = 0 if base is None else len(base.units)
+        self._num_wheels = self._num_units - len(self._force)
+        # columns of a block: unexplained velocities of each model, slips, motions, velocities,
+        # commanded impulses, momenta that wheels did not take
+        models = len(self._models) * nv
+        widths = {"left": models, "slip": nv, "moved": nv, "velocity": nv}
+        widths |= {"told": self._num_units, "beyond": self._num_wheels}
+        ends = np.cumsum([0, *widths.values()]).tolist()
+        self._at = {
+            name: slice(*pair) for name, pair in zip(widths, itertools.pairwise(ends), strict=True)
+        }
+        self._shapes: dict[str, tuple[int, ...]] = {
+            **dict.fromkeys(("leg", "samples", "blocks", "looks", "abort_request", "jumped"), ()),
+            **dict.fromkeys(("raw", "seen", "stale", "observed"), (size,)),
+            **dict.fromkeys(("off", "since"), (2 * nv,)),
+            **dict.fromkeys(("jitter", "rough", "largest", "slope", "acceleration"), (nv,)),
+            **dict.fromkeys(("sums", "part"), (ends[-1],)),
+            "codes": (len(self._names),), "repeats": (len(self._sensors),),
+            "told": (self._num_units,), "momentum": (self._num_wheels,), "kept": (KEPT, ends[-1]),
+            "suspected": (len(WINDOWS), len(self._force)),
+        }  # fmt: skip
+
+    def _unit(self, sensor: str) -> int:
+        return self._names.index(f"sensing.{sensor}")
+
+    def _isolated(self, codes: np.ndarray) -> np.ndarray:
+        """Codes for the actuators (units)."""
+        assert self._base is not None
+        told = (codes[: len(self._base.units)] > 0.0) * LOST
+        if not self._settings.isolation_valves:
+            told[codes[: told.size] == CODE["stuck_on"]] = STUCK_ON
+            told[codes[: told.size] == CODE["leaking"]] = 0.0
+        return told
+
+    def _changes(self, state: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Accelerations (models, nv, n) under generalized forces (nv, n), of which all but the
+        first act alone.
+        """
+        q, v = np.split(state, [self._nq])
+        forces = forces.copy()
+        changes, total = [], forces[:, 0].copy()
+        for model in self._models:
+            forces[:, 0] = total - model.calc_bias(q, v)
+            changes.append(np.linalg.solve(model.calc_mass_matrix(q), forces))
+        return np.array(changes)
+
+    def _pushes(self, state: np.ndarray) -> np.ndarray:
+        """Generalized forces (nv, n) of unit forces of thrusters."""
+        pushes = np.zeros((self._nv, len(self._force)))
+        if self._thrusters is not None:
+            pairs = self._thrusters.wrenches.reshape(2, 3, -1)
+            pushes[:6] = (matrix_of(state[:4]) @ pairs).reshape(6, -1)
+        return pushes
+
+    @staticmethod
+    def _forget(memory: Memory) -> None:
+        """Begin a window with the next block."""
+        memory.blocks = -1.0
+
+
+def _extremes(scenario: Scenario, factor: float) -> list[PlantModel]:
+    """The models with the lightest and the heaviest payload."""
+    payload = scenario.payload
+    if factor == 1.0:
+        return []
+    models = []
+    for share in (1.0 / factor, factor):
+        inertia = [share * each for each in payload.nominal.inertia]
+        nominal = dataclasses.replace(
+            payload.nominal, mass=share * payload.nominal.mass, inertia=inertia
+        )
+        changed = dataclasses.replace(payload, nominal=nominal)
+        models.append(make_nominal_plant(dataclasses.replace(scenario, payload=changed)))
+    return models
