@@ -10,6 +10,10 @@ from ffsm_drake import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.coordinates import tracking_errors
 from ffsm_drake.systems.controllers import Sample, make_law
 
+# of postcapture: the nominal payload as the true one, and a posture
+EXACT = "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}"
+FIRST = np.concatenate([[1.0], np.zeros(6), [0.2, 0.4, 1.0, 0.6, -0.7]])
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Course:
@@ -84,3 +88,16 @@ def swinging(first, amplitudes, frequencies, *, base_axis=2):
         return q, v, a
 
     return reference
+
+
+def resting(time):
+    """The reference that stays at ``FIRST``."""
+    return FIRST, np.zeros(11), np.zeros(11)
+
+
+# coordinates of postcapture from ``FIRST``, each at its own pace
+SWING = swinging(
+    FIRST,
+    np.array([0.0, 0.0, 0.2, 0.1, 0.1, -0.1, 0.2, 0.2, -0.2, 0.3, 0.2]),
+    np.linspace(0.5, 1.5, 11),
+)

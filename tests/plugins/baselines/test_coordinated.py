@@ -2,22 +2,15 @@
 
 import numpy as np
 import pytest
-from own_loop import flown, swinging
+from own_loop import EXACT, FIRST, SWING, flown, resting
 
 from ffsm_drake import load_scenario, make_nominal_plant
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.systems.controllers import make_law
 
-EXACT = "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}"
-FIRST = np.concatenate([[1.0], np.zeros(6), [0.2, 0.4, 1.0, 0.6, -0.7]])
-
 
 def scenario(*overrides):
     return load_scenario("postcapture", [EXACT, "controller=coordinated", *overrides])
-
-
-def still(q):
-    return lambda _: (q, np.zeros(11), np.zeros(11))
 
 
 @pytest.mark.smoke
@@ -55,9 +48,9 @@ def test_arm_and_attitude_move_without_thrust():
     q[7:] += 0.1
     q[4:7] += center(FIRST) - center(q)
     start = np.concatenate([q, np.zeros(11)])
-    course = flown(given, still(FIRST), 6.0, start=start)
+    course = flown(given, resting, 6.0, start=start)
     pushed = flown(
-        load_scenario("postcapture", [EXACT, "controller=pd_plus"]), still(FIRST), 3.0, start=start
+        load_scenario("postcapture", [EXACT, "controller=pd_plus"]), resting, 3.0, start=start
     )
     assert np.abs(pushed.force[:, 3:6]).max() > 10.0
     assert np.abs(course.force[:, 3:6]).max() < 1e-5 * np.abs(pushed.force[:, 3:6]).max()
@@ -71,7 +64,7 @@ def test_a_push_on_the_centre_of_mass_moves_no_joint():
     """The centre of mass has no way into attitude and joints."""
     start = np.concatenate([FIRST, np.zeros(11)])
     start[4:7] += [0.1, -0.05, 0.2]
-    course = flown(scenario(), still(FIRST), 6.0, start=start)
+    course = flown(scenario(), resting, 6.0, start=start)
     internal = np.r_[0:3, 6:11]
     assert np.abs(course.error[:, internal]).max() < 1e-7
     assert np.abs(course.error[0, 3:6]).max() > 0.1 > 3 * np.abs(course.error[-1, 3:6]).max()
@@ -88,8 +81,7 @@ def test_its_energy_falls(moving):
     )
     model = make_nominal_plant(given)
     law = make_law(given, model)
-    amplitudes = np.array([0.0, 0.0, 0.2, 0.1, 0.1, -0.1, 0.2, 0.2, -0.2, 0.3, 0.2])
-    reference = swinging(FIRST, amplitudes, np.linspace(0.5, 1.5, 11)) if moving else still(FIRST)
+    reference = SWING if moving else resting
     start = np.concatenate([FIRST, np.full(11, 0.05)])
     course = flown(given, reference, 3.0, start=start)
     internal, energies = np.r_[0:3, 6:11], []

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from own_loop import flown
+from own_loop import EXACT, FIRST, flown, resting
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 from pydrake.solvers import ClarabelSolver, MathematicalProgram
@@ -13,8 +13,6 @@ from ffsm_drake import load_scenario, make_nominal_plant, simulate
 from ffsm_drake.scenario import thrusters_of
 from ffsm_drake.systems.controllers import Sample, make_law
 
-EXACT = "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}"
-FIRST = np.concatenate([[1.0], np.zeros(6), [0.2, 0.4, 1.0, 0.6, -0.7]])
 T = 0.1  # s
 A, B = np.array([[1.0, T], [0.0, 1.0]]), np.array([-0.5 * T * T, -T])
 
@@ -94,10 +92,6 @@ def test_with_limits_it_is_the_optimum_of_the_program():
     assert np.abs(commanded - clipped).max() > 0.1 * np.abs(expected).max()
 
 
-def still(q):
-    return lambda _: (q, np.zeros(11), np.zeros(11))
-
-
 @pytest.mark.long
 def test_forces_and_joint_rates_keep_to_their_limits():
     limits = [
@@ -107,14 +101,14 @@ def test_forces_and_joint_rates_keep_to_their_limits():
     start = np.concatenate([FIRST, np.zeros(11)])
     start[7:12] += 0.3
     scenario = load_scenario("postcapture", [EXACT, "controller=mpc", *limits])
-    course = flown(scenario, still(FIRST), 12.0, start=start)
+    course = flown(scenario, resting, 12.0, start=start)
     assert np.abs(course.state[:, 18:]).max() < 0.0505
     assert (np.abs(course.force) <= course.law.limits.force * (1.0 + 1e-9)).all()
     assert course.memory["programs"][-1] > 100
     assert course.memory["fallbacks"][-1] == 0
     assert np.abs(course.error[-1]).max() < 2e-3
     free = load_scenario("postcapture", [EXACT, "controller=mpc", limits[0]])
-    assert np.abs(flown(free, still(FIRST), 12.0, start=start).state[:, 18:]).max() > 0.08
+    assert np.abs(flown(free, resting, 12.0, start=start).state[:, 18:]).max() > 0.08
 
 
 @pytest.mark.long
@@ -130,7 +124,7 @@ def test_wheels_keep_to_their_torque_and_momentum():
     scenario = load_scenario(
         "postcapture", [EXACT, "controller=mpc", f"actuation.wheels={{units: {{{units}}}}}"]
     )
-    course = flown(scenario, still(FIRST), 20.0, start=start)
+    course = flown(scenario, resting, 20.0, start=start)
     turned = (RotationMatrix(Quaternion(q / np.linalg.norm(q))) for q in course.state[:, :4])
     torque = np.array(
         [R_WB.matrix().T @ force[:3] for R_WB, force in zip(turned, course.force, strict=True)]
@@ -160,7 +154,7 @@ def test_past_its_bound_it_cuts_the_regulators_force():
 )
 def test_a_constant_disturbance_leaves_no_error(controller, least, most):
     scenario = load_scenario("postcapture", [EXACT, f"controller={controller}"])
-    course = flown(scenario, still(FIRST), 10.0, disturbance=lambda _: np.full(11, 0.5))
+    course = flown(scenario, resting, 10.0, disturbance=lambda _: np.full(11, 0.5))
     assert least <= np.abs(course.error[-1]).max() < most
 
 
@@ -181,7 +175,7 @@ def test_the_base_asks_no_more_than_its_thrusters_give():
     start[:7] = [np.cos(0.05), 0.0, 0.0, np.sin(0.05), 0.1, -0.05, 0.0]
     thrusters = "actuation.thrusters={layout: 12x5N}"
     scenario = load_scenario("postcapture", [EXACT, "controller=mpc", thrusters])
-    course = flown(scenario, still(FIRST), 6.0, start=start)
+    course = flown(scenario, resting, 6.0, start=start)
     units = thrusters_of(scenario.actuation.thrusters).values()
     force = np.array([np.multiply(unit.force, unit.direction) for unit in units]).T
     jets = np.vstack([np.cross([unit.position for unit in units], force.T).T, force])
@@ -196,6 +190,4 @@ def test_the_base_asks_no_more_than_its_thrusters_give():
     assert course.memory["fallbacks"][-1] == 0
     assert np.abs(course.error[-1]).max() < 0.02
     free = load_scenario("postcapture", [EXACT, "controller=mpc"])
-    assert (
-        np.abs(flown(free, still(FIRST), 0.02, start=start).force[0, 3:6]).max() > 2.0 * force.max()
-    )
+    assert np.abs(flown(free, resting, 0.02, start=start).force[0, 3:6]).max() > 2.0 * force.max()

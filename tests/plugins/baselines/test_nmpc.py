@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from own_loop import flown
+from own_loop import EXACT, FIRST, flown, resting
 from pydrake.common.eigen_geometry import AngleAxis, Quaternion
 from pydrake.math import RotationMatrix
 from scipy.optimize import minimize
@@ -10,9 +10,7 @@ from scipy.optimize import minimize
 from ffsm_drake import load_scenario, make_nominal_plant
 from ffsm_drake.systems.controllers import Sample, make_law
 
-EXACT = "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}"
 LIMITS = "actuation.limit={base_rotation: 40, base_position: 30, joints: 15}"
-FIRST = np.concatenate([[1.0], np.zeros(6), [0.2, 0.4, 1.0, 0.6, -0.7]])
 T, STEPS = 0.1, 5
 
 
@@ -122,8 +120,7 @@ def test_from_far_off_it_is_as_good_as_the_linear_program():
     start[7:9] -= np.deg2rad(50.0)
     for name in ("mpc", "nmpc"):
         scenario = load_scenario("postcapture", [EXACT, f"controller={name}", LIMITS])
-        still = FIRST, np.zeros(11), np.zeros(11)
-        course = flown(scenario, lambda _, still=still: still, 14.0, start=start)
+        course = flown(scenario, resting, 14.0, start=start)
         assert course.memory["fallbacks"][-1] == 0
         assert course.memory["programs"][-1] > 1000
         assert np.abs(course.error[-1]).max() < 3e-3

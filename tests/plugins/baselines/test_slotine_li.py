@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import own_loop
 import pytest
 from outside_urdfs import joint, link, robot
 from own_loop import flown, swinging
@@ -92,11 +93,8 @@ def _at(model, q):
 def test_its_lyapunov_function_falls():
     """s^T H s / 2 + (theta - true)^T Gamma^-1 (theta - true) / 2, without disturbance."""
     scenario = load_scenario("postcapture", ["controller=slotine_li", "sample_time=0.002"])
-    first = np.concatenate([[1.0], np.zeros(6), [0.2, 0.4, 1.0, 0.6, -0.7]])
-    amplitudes = np.array([0.0, 0.0, 0.2, 0.1, 0.1, -0.1, 0.2, 0.2, -0.2, 0.3, 0.2])
-    reference = swinging(first, amplitudes, np.linspace(0.5, 1.5, 11))
-    start = np.concatenate([first, np.full(11, 0.02)])
-    course = flown(scenario, reference, 4.0, start=start)
+    start = np.concatenate([own_loop.FIRST, np.full(11, 0.02)])
+    course = flown(scenario, own_loop.SWING, 4.0, start=start)
     law = course.law
     true = parameters_of(scenario.payload.truth) - parameters_of(scenario.payload.nominal)
     rates = np.repeat([law.mass_rate, law.moment_rate, law.inertia_rate], [1, 3, 6])
