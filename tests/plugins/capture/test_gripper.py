@@ -53,16 +53,10 @@ def mujoco_slide(closing: Closing, *, mass: float, arm: float, rate: np.ndarray)
     return np.array(offsets)
 
 
-def own_slide(closing: Closing, *, mass: float, arm: float, rate: np.ndarray) -> np.ndarray:
-    """The same by ``Jaws``."""
-    jaws = Jaws.of(closing, STIFF)
-    mobility = np.diag([10.0 / mass + 1.0 / 6.0] * 3 + [1.0 / mass + 1.0 / GRIPPER] * 3)
-    cross = np.array([[0.0, arm, 0.0], [-arm, 0.0, 0.0], [0.0, 0.0, 0.0]])  # -[arm z] x
-    mobility[:3, 3:] = 10.0 / mass * cross
-    mobility[3:, :3] = mobility[:3, 3:].T
-    mobility[3:, 3:] += 10.0 / mass * cross.T @ cross
-    offset, slid, rate, offsets = np.zeros(6), np.zeros(6), rate.copy(), []
-    for step in range(1000):
+def sliding(jaws, mobility, offset, rate, steps):
+    """Offset, rate and force after each step of a millisecond, from a first contact at zero."""
+    slid = np.zeros(6)
+    for step in range(steps):
         force, slid = jaws.act(
             1e-3 * (step + 1),
             1e-3,
@@ -72,10 +66,20 @@ def own_slide(closing: Closing, *, mass: float, arm: float, rate: np.ndarray) ->
             slid=slid,
             mobility=mobility,
         )
-        rate += 1e-3 * mobility @ force
+        rate = rate + 1e-3 * mobility @ force
         offset = offset + 1e-3 * rate
-        offsets.append(offset)
-    return np.array(offsets)
+        yield offset, rate, force
+
+
+def own_slide(closing: Closing, *, mass: float, arm: float, rate: np.ndarray) -> np.ndarray:
+    """The same by ``Jaws``."""
+    jaws = Jaws.of(closing, STIFF)
+    mobility = np.diag([10.0 / mass + 1.0 / 6.0] * 3 + [1.0 / mass + 1.0 / GRIPPER] * 3)
+    cross = np.array([[0.0, arm, 0.0], [-arm, 0.0, 0.0], [0.0, 0.0, 0.0]])  # -[arm z] x
+    mobility[:3, 3:] = 10.0 / mass * cross
+    mobility[3:, :3] = mobility[:3, 3:].T
+    mobility[3:, 3:] += 10.0 / mass * cross.T @ cross
+    return np.array([offset for offset, *_ in sliding(jaws, mobility, np.zeros(6), rate, 1000)])
 
 
 def outcome(offsets: np.ndarray, rest: float = 0.01) -> str:
@@ -120,20 +124,9 @@ def test_the_palm_pushes_only_and_the_target_bounces_off():
     closing = Closing(time=100.0, preload=1e-3)
     jaws = Jaws.of(closing, Compliance())
     mobility = np.diag([0.1] * 3 + [1.0 / 50.0] * 3)
-    offset, slid = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e-3]), np.zeros(6)
-    rate, forces = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -0.05]), []
-    for step in range(500):
-        force, slid = jaws.act(
-            1e-3 * (step + 1),
-            1e-3,
-            start=np.zeros(6),
-            offset=offset,
-            rate=rate,
-            slid=slid,
-            mobility=mobility,
-        )
-        rate, forces = rate + 1e-3 * mobility @ force, [*forces, force[5]]
-        offset = offset + 1e-3 * rate
+    along = np.eye(6)[5]
+    found = [*sliding(jaws, mobility, 1e-3 * along, -0.05 * along, 500)]
+    (offset, rate, _), forces = found[-1], [force[5] for *_, force in found]
     assert 0.01 < rate[5] < 0.05  # thrown back, with less energy
     assert min(forces) > -0.01
     assert max(forces) > 10.0
