@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydrake.common.eigen_geometry import Quaternion
 from refusals import assert_refused
 from rigid_bus import stepped
 from scipy.integrate import solve_ivp
@@ -23,7 +24,6 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake import FfsmError, load_scenario, simulate
 from ffsm_drake.common.numbers import NONE, number
 from ffsm_drake.plugins.actuators.allocation import Allocation, lost_direction
-from ffsm_drake.plugins.actuators.attitude import attitude_ahead
 from ffsm_drake.plugins.actuators.modulation import (
     SchmittTrigger,
     mean_level,
@@ -322,22 +322,7 @@ def test_schmitt_trigger_is_its_filter_with_hysteresis():
     assert on.mean() == pytest.approx(0.3, abs=0.02)
 
 
-def test_attitude_ahead_turns_about_world_axes():
-    from pydrake.math import RollPitchYaw, RotationMatrix
-    from scipy.spatial.transform import Rotation
-
-    before = RotationMatrix(RollPitchYaw(0.3, -0.2, 1.0))
-    w = np.array([0.4, -1.0, 2.0])
-    expected = Rotation.from_rotvec(0.05 * w).as_matrix() @ before.matrix()
-    assert attitude_ahead(before.ToQuaternion().wxyz() * 1.001, w, 0.05).reshape(
-        3, 3
-    ) == pytest.approx(expected)
-
-
 def middle_rotation(data, k, period):
-    from pydrake.common.eigen_geometry import Quaternion
-    from scipy.spatial.transform import Rotation
-
     q, w = data["position"].values[k, :4], data["velocity"].values[k, :3]
     return (
         Rotation.from_rotvec(0.5 * period * w).as_matrix()

@@ -31,6 +31,7 @@ from ffsm_drake.systems.limits import uneven_remarks
 SHORT = (*flight_settings.FLIGHT, *flight_settings.NO_NOISE, "duration=2")
 INERTIA, PERIOD = 0.08, 0.01
 AXES = {"a": [1, 1, 1], "b": [-1, 1, 1], "c": [-1, -1, 1], "d": [1, -1, 1]}
+UNIT_AXES = np.array([*AXES.values()]) / np.sqrt(3.0)
 
 
 def wheels(momentum=(20, -15, 10, 5), **values):
@@ -91,14 +92,13 @@ def test_wheels_are_rotors_on_joints(turning):
     data = turning.dataset
     plant, context, joints = plant_with_rotors(turning)
     arm = [plant.GetJointByName(f"joint_{i}") for i in range(1, 6)]
-    axes = np.array([np.array(axis) / np.linalg.norm(axis) for axis in AXES.values()])
 
     def body_rate(k):
         q, w = data["position"].values[k, :4], data["velocity"].values[k, :3]
         return Quaternion(q / np.linalg.norm(q)).rotation().T @ w
 
     def speeds(k):
-        return data["wheel_momentum"].values[k] / INERTIA - axes @ body_rate(k)
+        return data["wheel_momentum"].values[k] / INERTIA - UNIT_AXES @ body_rate(k)
 
     base = plant.GetBodyByName("base")
     q0, v0 = data["position"].values[0], data["velocity"].values[0]
@@ -144,7 +144,7 @@ def test_torque_on_the_base_is_what_the_wheels_take(turning):
     data = turning.dataset
     for residual in momentum_residual(data).values():
         assert np.linalg.norm(residual, axis=1).max() < 1e-9
-    axes = np.array([np.array(axis) / np.linalg.norm(axis) for axis in AXES.values()]).T
+    axes = UNIT_AXES.T
     for k in (0, 50, 200):
         q = data["position"].values[k, :4]
         rotation = Quaternion(q / np.linalg.norm(q)).rotation()
