@@ -66,7 +66,7 @@ def _span(shape: Shape, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.nd
             return barrel
         end = np.array([0.0, 0.0, 0.5 * shape.length()])
         balls = (_round((p + each) / shape.radius(), u / shape.radius()) for each in (end, -end))
-        enters, leaves = np.moveaxis([barrel, *balls], 1, 0)
+        enters, leaves = np.array([barrel, *balls]).swapaxes(0, 1)
         known = np.where(enters <= leaves, enters, np.inf)
         return known.min(axis=0), np.where(enters <= leaves, leaves, -np.inf).max(axis=0)
     return np.full(len(p), np.inf), np.full(len(p), -np.inf)

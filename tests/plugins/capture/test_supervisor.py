@@ -8,7 +8,7 @@ from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.plugins.actuators.base import BaseActuators
-from ffsm_drake.plugins.capture.supervisor import Cause, Mode, NewPlan
+from ffsm_drake.plugins.capture.supervisor import Cause, Mode
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.part import figures_of, nested, recorded
@@ -94,16 +94,6 @@ def test_the_new_plan_starts_where_the_spacecraft_is(damped):
     desired = damped.series["desired_state"][k + 1]
     assert np.abs(desired - measured).max() < 2e-3
     assert damped.series["desired_state"].shape == damped.series["state"].shape
-
-
-def test_a_plan_survives_its_row():
-    model = make_nominal_plant(load_scenario("tumbling_capture"))
-    q, v = model.plant.GetPositions(model.context), np.full(11, 0.01)
-    plan = NewPlan(begin=2.0, duration=5.0, retreats=True, q=q, v=v)
-    again = NewPlan.from_row(plan.as_row(), q.size)
-    assert (again.begin, again.duration, again.retreats) == (2.0, 5.0, True)
-    assert np.array_equal(again.q, q)
-    assert np.array_equal(again.v, v)
 
 
 def test_the_report_names_the_events(damped):
