@@ -280,7 +280,7 @@ def test_missing_pictures_are_left_out(tmp_path: Path) -> None:
     shapes = '<geom type="mesh" mesh="named" material="m"/><geom type="mesh" mesh="b"/>'
     text = arm(outside=outside, link=LINK + shapes)
     urdf, remarks = made(text, tmp_path)
-    assert "missing files (t.png, a.stl, b.stl)" in " ".join(remarks)
+    assert "missing files (a.stl, b.stl, t.png)" in " ".join(remarks)
     expected, found = mass_matrices(arm(), urdf)
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-11 * expected.max())
     with pytest.raises(ModelError, match=r"MuJoCo cannot compile it: .*a\.stl"):

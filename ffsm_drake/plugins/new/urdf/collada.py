@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.files import check_regular
+from ffsm_drake.plugins.new.urdf.wavefront import wavefront
 
 _MOST = 200_000_000  # bytes
 _DEPTH = 50  # of nodes within nodes
@@ -23,7 +24,7 @@ _CORNERS: dict[str, Callable[[int], tuple[int, int, int]]] = {
 Part = tuple[np.ndarray, list[list[int]]]  # points (n, 3), and the corners of each polygon
 
 
-def as_wavefront(file: Path) -> str | None:
+def of_collada(file: Path) -> str | None:
     """The text of a Wavefront file with the polygons of a COLLADA file, in metres; None if it has
     none, or what cannot be read with certainty: an up axis other than z, which some readers turn
     up and others do not, skins, or curves.
@@ -44,12 +45,13 @@ def as_wavefront(file: Path) -> str | None:
         _require(parts and all(np.isfinite(points).all() for points, _ in parts))
     except (ElementTree.ParseError, ValueError, LookupError, TypeError):
         return None
-    lines, first = list[str](), 1
-    for points, faces in parts:
-        lines += [f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in points.tolist()]
-        lines += [f"f {' '.join(str(first + k) for k in face)}\n" for face in faces]
-        first += len(points)
-    return "".join(lines)
+    starts = np.cumsum([0, *(len(points) for points, _ in parts)]).tolist()
+    faces = [
+        [start + k for k in face]
+        for start, (_, own) in zip(starts[:-1], parts, strict=True)
+        for face in own
+    ]
+    return wavefront(np.concatenate([points for points, _ in parts]), faces)
 
 
 def _require(condition: object) -> None:

@@ -11,11 +11,12 @@ from xml.etree.ElementTree import Element, SubElement
 
 from ffsm_drake.common.files import write_text
 from ffsm_drake.common.numbers import counted
-from ffsm_drake.plugins.new.urdf import collada, stl
+from ffsm_drake.plugins.new.urdf.collada import of_collada
 from ffsm_drake.plugins.new.urdf.drawing import color_visual, draw_bare_links
 from ffsm_drake.plugins.new.urdf.elements import WORLD, found_file, listed, name_of
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
 from ffsm_drake.plugins.new.urdf.target import Target
+from ffsm_drake.plugins.new.urdf.wavefront import of_stl
 from ffsm_drake.spacecraft.checked_urdf import DRAKE, number
 from ffsm_drake.spacecraft.clearance import INVENTED, UNMEASURED
 from ffsm_drake.spacecraft.model_files import DRAWABLE
@@ -25,7 +26,7 @@ _NAMED_FILE = re.compile(
     r'(?:["\'>]|^\s*\w+\s)([^"\'<>\n]+\.(?:mtl|bin|png|jpe?g|ktx2|webp))', re.MULTILINE | re.I
 )
 _SHAPES = ("box", "sphere", "cylinder", "capsule", "ellipsoid")  # that Drake reads
-_CONVERTED = {".stl": stl.as_wavefront, ".dae": collada.as_wavefront}
+_CONVERTED = {".stl": of_stl, ".dae": of_collada}
 _REASONS = {
     "dynamics": "joint damping and friction left out ({times}): --friction adds them as drives",
     "collision": "collision shapes left out ({times}): contact is not modelled",

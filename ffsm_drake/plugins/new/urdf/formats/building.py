@@ -18,10 +18,15 @@ def text(values: object) -> str:
     return " ".join(f"{value + 0.0!r}" for value in np.ravel(np.asarray(values, float)).tolist())
 
 
-def origin(parent: Element, pose: RigidTransform) -> None:
-    """Add a pose to a joint, an inertial or a visual."""
+def place(pose: RigidTransform) -> dict[str, str]:
+    """The attributes of a pose."""
     rpy = pose.rotation().ToRollPitchYaw().vector()
-    SubElement(parent, "origin", xyz=text(pose.translation()), rpy=text(rpy))
+    return {"xyz": text(pose.translation()), "rpy": text(rpy)}
+
+
+def add_frame(root: Element, name: str, link: str, pose: RigidTransform) -> None:
+    """Add a frame at a pose in a link."""
+    SubElement(root, "frame", {"name": name, "link": link, **place(pose)})
 
 
 def add_link(root: Element, name: str, mass: float, center: object, inertia: np.ndarray) -> Element:
@@ -51,23 +56,29 @@ def add_joint(
     axis: object = (0.0, 0.0, 1.0),
     limits: Mapping[str, float] | None = None,
     rotor: float = 0.0,
+    damping: float = 0.0,
+    friction: float = 0.0,
 ) -> Element:
     """Return a joint between a parent and a child, at a pose in the parent.
 
     Args:
       limits: attributes of <limit>.
       rotor: inertia (kg m^2 or kg) that the rotor of the drive adds.
+      damping: N m s or N s/m.
+      friction: N m or N.
     """
     joint = SubElement(root, "joint", name=name, type=kind)
     SubElement(joint, "parent", link=ends[0])
     SubElement(joint, "child", link=ends[1])
-    origin(joint, pose)
+    SubElement(joint, "origin", place(pose))
     if kind != "fixed":
         SubElement(joint, "axis", xyz=text(axis))
         known = {key: text(value) for key, value in (limits or {}).items() if np.isfinite(value)}
         SubElement(joint, "limit", known)
     if rotor:
         add_rotor(root, name, rotor)
+    if damping or friction:
+        SubElement(joint, "dynamics", damping=text(damping), friction=text(friction))
     return joint
 
 
@@ -86,7 +97,7 @@ def add_visual(
 ) -> None:
     """A shape of a link: its kind (an element of <geometry>), and that element's attributes."""
     visual = SubElement(link, "visual")
-    origin(visual, pose)
+    SubElement(visual, "origin", place(pose))
     SubElement(SubElement(visual, "geometry"), kind, size)
     if color is not None:
         rgba = text(np.round(color, 4))

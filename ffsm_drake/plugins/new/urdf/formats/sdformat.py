@@ -19,6 +19,7 @@ from ffsm_drake.common.errors import one_line
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.new.urdf.elements import WORLD, listed, name_of
 from ffsm_drake.plugins.new.urdf.formats.building import (
+    add_frame,
     add_joint,
     add_link,
     keep_servicer,
@@ -101,12 +102,8 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     for instance in map(ModelInstanceIndex, range(plant.num_model_instances())):
         for frame in map(plant.get_frame, plant.GetFrameIndices(instance)):
             if frame.name() in frames:
-                pose = frame.GetFixedPoseInBodyFrame()
-                rpy = pose.rotation().ToRollPitchYaw().vector()
-                SubElement(
-                    root, "frame", name=frame.name(), xyz=text(pose.translation()), rpy=text(rpy),
-                    link=names[_scoped(plant, frame.body())],
-                )  # fmt: skip
+                link = names[_scoped(plant, frame.body())]
+                add_frame(root, frame.name(), link, frame.GetFixedPoseInBodyFrame())
     told = [
         f"<{tag}> ({counted(count, 'time')})" for tag, count in passed.items() if tag != "visual"
     ]
@@ -301,12 +298,10 @@ def _add_joint(
     if kind == "revolute" and not np.isfinite(limits["upper"] - limits["lower"]):
         kind = "continuous"
     between = child if onward.IsNearlyIdentity(1e-12) else f"{name}_axis"
-    element = add_joint(
-        root, name, kind, (parent, between), pose, axis=axis, limits=limits, rotor=rotor
-    )
-    damping = float(joint.default_damping())
-    if damping or friction:
-        SubElement(element, "dynamics", damping=text(damping), friction=text(friction))
+    add_joint(
+        root, name, kind, (parent, between), pose, axis=axis, limits=limits, rotor=rotor,
+        damping=joint.default_damping(), friction=friction,
+    )  # fmt: skip
     if between != child:
         SubElement(root, "link", name=between)
         add_joint(root, f"{name}_fixed", "fixed", (between, child), onward)

@@ -1,6 +1,7 @@
-"""STL meshes as Wavefront ones, which can be drawn."""
+"""Wavefront files, which can be drawn, from polygons and from STL files."""
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,13 @@ _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attrib
 _CORNER = re.compile(rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)")
 
 
-def as_wavefront(file: Path) -> str | None:
+def wavefront(points: np.ndarray, faces: Iterable[Iterable[int]]) -> str:
+    """The text of a Wavefront file: points (n, 3), and the corners of its polygons, from 0."""
+    lines = [f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in points.tolist()]
+    return "".join([*lines, *(f"f {' '.join(str(1 + k) for k in face)}\n" for face in faces)])
+
+
+def of_stl(file: Path) -> str | None:
     """The text of a Wavefront file with the triangles of an STL file; None if it has none.
 
     Raises OSError: it cannot be read.
@@ -30,7 +37,4 @@ def as_wavefront(file: Path) -> str | None:
     if not len(corners) or len(corners) % 3 or not np.isfinite(corners).all():
         return None
     vertices, order = np.unique(corners, axis=0, return_inverse=True)
-    return "".join([
-        *(f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in vertices.tolist()),
-        *(f"f {a} {b} {c}\n" for a, b, c in (1 + order.reshape(-1, 3)).tolist()),
-    ])  # fmt: skip
+    return wavefront(vertices, order.reshape(-1, 3).tolist())
