@@ -401,7 +401,7 @@ def test_an_arm_without_a_world_stands_on_the_middle_of_a_cube(tmp_path):
     servicer = read_urdf(tmp_path / "ur5.urdf", bus=make_bus(400.0))
     mounting = servicer.root.findall("joint")[-1]
     assert mounting.find("child").get("link") == "base_link"
-    assert mounting.find("origin").get("xyz") == "0 0 1"  # the shipped servicer's cube
+    assert mounting.find("origin").get("xyz") == "0.0 0.0 1.0"  # the shipped servicer's cube
     assert (servicer.base, servicer.base_mass) == ("bus", 404.0)
 
 

@@ -1,17 +1,21 @@
 """Plain shapes for links without visuals, so that base and arm are visible without meshes."""
 
-import math
 from collections.abc import Collection, Iterator
-from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
 
 from ffsm_drake.plugins.new.urdf.elements import end_of, name_of, read_joint, vector
+from ffsm_drake.plugins.new.urdf.formats.building import add_visual
 from ffsm_drake.spacecraft.clearance import INVENTED, UNMEASURED
 from ffsm_drake.spacecraft.inertia import read_inertia, read_mass
 
-_COLORS = {"box": "0.83 0.62 0.20 1", "cylinder": "0.92 0.92 0.94 1", "sphere": "0.48 0.50 0.54 1"}
+_COLORS = {
+    "box": (0.83, 0.62, 0.2, 1.0),
+    "cylinder": (0.92, 0.92, 0.94, 1.0),
+    "sphere": (0.48, 0.5, 0.54, 1.0),
+}
 
 
 def draw_bare_links(root: Element, *, base_links: Collection[str], radius: float) -> list[str]:
@@ -41,10 +45,10 @@ def draw_bare_links(root: Element, *, base_links: Collection[str], radius: float
         if name in base_links:
             box = _equivalent_box(link)
             if box is not None:
-                _add_visual(link, "box", center, size=box)
+                _add(link, "box", RigidTransform(center), size=box)
                 start, ends = center, [start, *ends]
         elif ends or has_mass:
-            _add_visual(link, "sphere", start, radius=f"{1.3 * radius:.4g}")
+            _add(link, "sphere", RigidTransform(start), radius=f"{1.3 * radius:.4g}")
             ends = [*(ends or [2.0 * center]), *_stroke(root, name)]
         for end in ends:
             if np.linalg.norm(end - start) > 0.1 * radius:
@@ -85,25 +89,12 @@ def _stroke(root: Element, link: str) -> Iterator[np.ndarray]:
 
 def _add_rod(link: Element, start: np.ndarray, end: np.ndarray, radius: float) -> None:
     length = float(np.linalg.norm(end - start))
-    x, y, z = (end - start) / length
-    rpy = f"0 {math.acos(max(-1.0, min(1.0, z))):.6g} {math.atan2(y, x):.6g}"
-    _add_visual(
-        link, "cylinder", 0.5 * (start + end), rpy, radius=f"{radius:.4g}", length=f"{length:.6g}"
-    )
+    pose = RigidTransform(RotationMatrix.MakeFromOneVector(end - start, 2), 0.5 * (start + end))
+    _add(link, "cylinder", pose, radius=f"{radius:.4g}", length=f"{length:.6g}")
 
 
-def _add_visual(link: Element, kind: str, xyz: np.ndarray, rpy: str = "0 0 0", **size: str) -> None:
-    visual = ElementTree.SubElement(link, "visual")
-    ElementTree.SubElement(visual, "origin", xyz=" ".join(f"{x:.6g}" for x in xyz), rpy=rpy)
-    ElementTree.SubElement(ElementTree.SubElement(visual, "geometry"), kind, size)
-    color_visual(visual, f"plain_{kind}", _COLORS[kind])
-
-
-def color_visual(visual: Element, name: str, rgba: str) -> None:
-    """Add a material that is defined in place: its name and colour."""
-    ElementTree.SubElement(
-        ElementTree.SubElement(visual, "material", name=name), "color", rgba=rgba
-    )
+def _add(link: Element, kind: str, pose: RigidTransform, **size: str) -> None:
+    add_visual(link, kind, pose, _COLORS[kind], **size)
 
 
 def _equivalent_box(link: Element) -> str | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from pydrake.math import RigidTransform, RollPitchYaw
 
 from ffsm_drake.spacecraft.checked_urdf import read_limits, require
 
@@ -91,6 +92,12 @@ def vector(
     good = values.shape == (3,) and np.isfinite(values).all()
     require(good, f"{place}: {attribute} must be three numbers, not '{text}'")
     return values
+
+
+def origin_of(element: Element | None, place: str) -> RigidTransform:
+    """Return the pose of the <origin> of a joint or an inertial; the identity without one."""
+    origin = None if element is None else element.find("origin")
+    return RigidTransform(RollPitchYaw(vector(origin, "rpy", place)), vector(origin, "xyz", place))
 
 
 def package_folders(package: str, source: Path, packages: Mapping[str, Path]) -> Iterator[Path]:

@@ -3,11 +3,21 @@
 import copy
 import dataclasses
 import math
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from pydrake.math import RigidTransform
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.numbers import short
-from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, name_of, vector
+from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, name_of, origin_of
+from ffsm_drake.plugins.new.urdf.formats.building import (
+    add_joint,
+    add_link,
+    add_visual,
+    set_origin,
+    text,
+)
 from ffsm_drake.plugins.new.urdf.simplifying import free_base
 from ffsm_drake.spacecraft.checked_urdf import require
 from ffsm_drake.spacecraft.inertia import read_mass
@@ -74,21 +84,15 @@ def mount(root: Element, bus: Bus) -> str:
         f"({', '.join(roots) or 'none'})"
         + (" that are not fixed to the world" if standing else ""),
     )
-    height = 0.5 * bus.size[2]
+    face = RigidTransform(np.array([0.0, 0.0, 0.5 * bus.size[2]]))
     for joint in standing:  # its origin lies on the face
-        parent, origin = joint.find("parent"), joint.find("origin")
-        assert parent is not None
-        parent.set("link", name)
-        x, y, z = vector(origin, "xyz", f"joint '{name_of(joint)}'")
-        (SubElement(joint, "origin") if origin is None else origin).set(
-            "xyz", f"{x:.12g} {y:.12g} {z + height:.12g}"
-        )
+        for parent in joint.findall("parent"):
+            parent.set("link", name)
+        set_origin(joint, face @ origin_of(joint, f"joint '{name_of(joint)}'"))
     if not standing:
-        joint = SubElement(root, "joint", name=mount_name, type="fixed")
-        SubElement(joint, "parent", link=name)
-        SubElement(joint, "child", link=roots[0])
-        SubElement(joint, "origin", xyz=f"0 0 {height:.12g}", rpy="0 0 0")
-    root.append(_link(name, bus))
+        add_joint(root, mount_name, "fixed", (name, roots[0]), face)
+    link = add_link(root, name, bus.mass, (0.0, 0.0, 0.0), np.diag(bus.inertia))
+    add_visual(link, "box", RigidTransform(), None, size=text(bus.size))
     return name
 
 
@@ -111,20 +115,6 @@ def _check_is_arm(root: Element) -> None:
         f"has a free base, '{roots[0]}' with {short(own, 4)} of {short(total, 4)} kg; leave "
         f"out --bus-mass, or join an arm to a link '{WORLD}' by a fixed joint",
     )
-
-
-def _link(name: str, bus: Bus) -> Element:
-    link = Element("link", name=name)
-    inertial = SubElement(link, "inertial")
-    SubElement(inertial, "mass", value=f"{bus.mass:.12g}")
-    moments = {
-        key: f"{moment:.12g}"
-        for key, moment in zip(("ixx", "iyy", "izz"), bus.inertia, strict=True)
-    }
-    SubElement(inertial, "inertia", moments | dict.fromkeys(("ixy", "ixz", "iyz"), "0"))
-    geometry = SubElement(SubElement(link, "visual"), "geometry")
-    SubElement(geometry, "box", size=" ".join(f"{side:.12g}" for side in bus.size))
-    return link
 
 
 def _free(name: str, taken: list[str]) -> str:

@@ -4,20 +4,22 @@ ranges of zero are removed.
 
 import math
 from collections.abc import Iterator, Mapping
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from pydrake.common.eigen_geometry import AngleAxis
-from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.math import RigidTransform
 
 from ffsm_drake.plugins.new.urdf.elements import (
     WORLD,
     end_of,
     listed,
     name_of,
+    origin_of,
     read_joint,
     vector,
 )
+from ffsm_drake.plugins.new.urdf.formats.building import set_origin
 from ffsm_drake.spacecraft.checked_urdf import number, require
 from ffsm_drake.spacecraft.inertia import read_mass
 
@@ -78,8 +80,7 @@ def _normal(chain: list[Element], kinds: list[str]) -> np.ndarray:
     place = f"joint '{name_of(chain[at])}'"
     axis = vector(chain[at].find("axis"), "xyz", place, "1 0 0" if kinds[at] == "turn" else "0 0 1")
     for joint in chain[at + 1 :]:
-        rpy = vector(joint.find("origin"), "rpy", f"joint '{name_of(joint)}'")
-        axis = RollPitchYaw(rpy).ToRotationMatrix().matrix().T @ axis
+        axis = origin_of(joint, f"joint '{name_of(joint)}'").rotation().matrix().T @ axis
     normal: np.ndarray = axis / max(float(np.linalg.norm(axis)), 1e-12)
     return normal
 
@@ -118,18 +119,13 @@ def fix_followers(root: Element) -> dict[str, str]:
         value += number(mimic, "offset", place, "0")
         axis = vector(joint.find("axis"), "xyz", place, "1 0 0")
         axis /= max(float(np.linalg.norm(axis)), 1e-12)
-        origin = joint.find("origin")
-        start = RollPitchYaw(vector(origin, "rpy", place)).ToRotationMatrix()
-        pose = RigidTransform(start, vector(origin, "xyz", place)) @ (
+        pose = origin_of(joint, place) @ (
             RigidTransform(value * axis)
             if joint.get("type") == "prismatic"
             else RigidTransform(AngleAxis(value, axis), np.zeros(3))
         )
         if value:
-            origin = SubElement(joint, "origin") if origin is None else origin
-            rpy = pose.rotation().ToRollPitchYaw().vector()
-            for key, numbers in (("xyz", pose.translation()), ("rpy", rpy)):
-                origin.set(key, " ".join(f"{x + 0.0!r}" for x in numbers.tolist()))
+            set_origin(joint, pose)
         for element in (*joint.findall("mimic"), *joint.findall("limit")):
             joint.remove(element)
         joint.set("type", "fixed")

@@ -12,8 +12,9 @@ from xml.etree.ElementTree import Element, SubElement
 from ffsm_drake.common.files import write_text
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.new.urdf.collada import of_collada
-from ffsm_drake.plugins.new.urdf.drawing import color_visual, draw_bare_links
+from ffsm_drake.plugins.new.urdf.drawing import draw_bare_links
 from ffsm_drake.plugins.new.urdf.elements import WORLD, found_file, listed, name_of
+from ffsm_drake.plugins.new.urdf.formats.building import color_visual
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
 from ffsm_drake.plugins.new.urdf.target import Target
 from ffsm_drake.plugins.new.urdf.wavefront import of_stl

@@ -5,6 +5,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform
 
 from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, name_of
@@ -22,6 +23,13 @@ def place(pose: RigidTransform) -> dict[str, str]:
     """The attributes of a pose."""
     rpy = pose.rotation().ToRollPitchYaw().vector()
     return {"xyz": text(pose.translation()), "rpy": text(rpy)}
+
+
+def set_origin(element: Element, pose: RigidTransform) -> None:
+    """Put a joint or a visual at a pose."""
+    for origin in element.findall("origin"):
+        element.remove(origin)
+    SubElement(element, "origin", place(pose))
 
 
 def add_frame(root: Element, name: str, link: str, pose: RigidTransform) -> None:
@@ -70,7 +78,7 @@ def add_joint(
     joint = SubElement(root, "joint", name=name, type=kind)
     SubElement(joint, "parent", link=ends[0])
     SubElement(joint, "child", link=ends[1])
-    SubElement(joint, "origin", place(pose))
+    set_origin(joint, pose)
     if kind != "fixed":
         SubElement(joint, "axis", xyz=text(axis))
         known = {key: text(value) for key, value in (limits or {}).items() if np.isfinite(value)}
@@ -93,15 +101,20 @@ def add_rotor(root: Element, joint: str, inertia: float) -> None:
 
 
 def add_visual(
-    link: Element, kind: str, pose: RigidTransform, color: np.ndarray | None, **size: str
+    link: Element, kind: str, pose: RigidTransform, color: ArrayLike | None, **size: str
 ) -> None:
     """A shape of a link: its kind (an element of <geometry>), and that element's attributes."""
     visual = SubElement(link, "visual")
-    SubElement(visual, "origin", place(pose))
+    set_origin(visual, pose)
     SubElement(SubElement(visual, "geometry"), kind, size)
     if color is not None:
         rgba = text(np.round(color, 4))
-        SubElement(SubElement(visual, "material", name=rgba), "color", rgba=rgba)
+        color_visual(visual, rgba, rgba)
+
+
+def color_visual(visual: Element, name: str, rgba: str) -> None:
+    """Add a material that is defined in place: its name and colour."""
+    SubElement(SubElement(visual, "material", name=name), "color", rgba=rgba)
 
 
 def keep_servicer(root: Element) -> list[str]:
