@@ -21,15 +21,18 @@ def quaternion_of(vector: np.ndarray) -> np.ndarray:
     return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * vector], axis=-1)
 
 
+def composed(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Quaternions (..., 4) of R(first) R(second); of one with many, too."""
+    a, u, b, v = first[..., :1], first[..., 1:], second[..., :1], second[..., 1:]
+    scalar = a * b - (u * v).sum(axis=-1, keepdims=True)
+    return np.concatenate([scalar, a * v + b * u + np.cross(u, v)], axis=-1)
+
+
 def turned_by(vector: np.ndarray, first: np.ndarray) -> np.ndarray:
     """Quaternions (..., 4) of attitudes, quaternions (..., 4), turned by rotation vectors (..., 3);
     of one attitude (4) turned by many, too.
     """
-    turn = quaternion_of(vector)
-    w, v = turn[..., :1], turn[..., 1:]
-    first_w, first_v = first[..., :1], first[..., 1:]
-    scalar = w * first_w - (v * first_v).sum(axis=-1, keepdims=True)
-    return np.concatenate([scalar, w * first_v + first_w * v + np.cross(v, first_v)], axis=-1)
+    return composed(quaternion_of(vector), first)
 
 
 def turning_matrix(vector: np.ndarray) -> np.ndarray:
@@ -130,46 +133,6 @@ def rotation_error_rate(
     return dx + ey * cz - ez * cy, dy + ez * cx - ex * cz, dz + ex * cy - ey * cx
 
 
-def rotation_errors(
-    quaternions_d: np.ndarray, quaternions: np.ndarray, w_d: np.ndarray, w: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """``rotation_error`` and ``rotation_error_rate`` of many (3, n), from quaternions (4, n) and
-    angular velocities (3, n): each with the bits it has alone.
-    """
-    terms = (quaternions_d[_FACTOR_D] * _SIGN) * quaternions[_FACTOR]
-    product = np.add.reduce(terms, axis=0)
-    axis = product[1:4]
-    sine = np.sqrt(np.add.reduce(axis * axis, axis=0))
-    # NumPy's arctan2 differs from math.atan2 in the last bit; the shorter rotation
-    atan2, copysign = math.atan2, math.copysign
-    factors = [
-        copysign(2.0 * atan2(s, abs(c)) / s, c if c else 1.0) if s > 0.0 else 0.0
-        for s, c in zip(sine.tolist(), product[0].tolist(), strict=True)
-    ]
-    # x, y, z, x, y: a cross product takes two slices of each factor
-    e = np.array(factors) * product[1:]
-    errors, e_1, e_2 = e[:3], e[1:4], e[2:]
-    half_sum, difference = 0.5 * (w_d + w), w_d - w
-    square = np.add.reduce(errors * errors, axis=0)
-    c = 1.0 / 12.0 + square * (1.0 / 720.0 + square / 30240.0)
-    if not square.max() < 1e-2:
-        for i in np.flatnonzero(~(square < 1e-2)).tolist():
-            half = 0.5 * math.sqrt(square[i])
-            c[i] = (1.0 - half / math.tan(half)) / square[i]
-    d = np.concatenate((difference, difference[:2]))
-    turned = c * (e_1 * d[2:] - e_2 * d[1:4]) - half_sum
-    t = np.concatenate((turned, turned[:2]))
-    # not the sum with a cross product, whose rounding differs
-    return errors, difference + e_1 * t[2:] - e_2 * t[1:4]
-
-
-# The product quaternion_d * conjugate(quaternion), (w, x, y, z), then x and y again, as a sum of
-# four terms: their factors' components and signs (term, component of the product).
-_FACTOR_D = np.array([[0, 1, 2, 3, 1, 2], [1] + [0] * 5, [2, 2, 3, 1, 2, 3], [3, 3, 1, 2, 3, 1]])
-_FACTOR = np.array([[0] * 6, [1, 1, 2, 3, 1, 2], [2, 3, 1, 2, 3, 1], [3, 2, 3, 1, 2, 3]])
-_SIGN = np.array([[1.0] * 6, [1.0] + [-1.0] * 5, [1.0] + [-1.0] * 5, [1.0] * 6])[..., None]
-
-
 def quaternion_rate(quaternion: np.ndarray, omega: np.ndarray) -> np.ndarray:
     """Return the rate (4, ...) of a quaternion (4, ...; w, x, y, z) of R_WB, for w_WB_W (3, ...),
     rad/s.
@@ -221,10 +184,9 @@ def attitude_motion(
         + c * (cross(phi, turned) + cross(rate, once))
         + growth * (db * once + dc * twice)
     )
-    zero = np.zeros_like(square)
-    skew = np.array([[zero, -phi[2], phi[1]], [phi[2], zero, -phi[0]], [-phi[1], phi[0], zero]])
     identity = np.eye(3)[:, :, None]
-    rotation = identity + a * skew + b * (phi[:, None] * phi[None] - square * identity)
+    turning = np.moveaxis(skew(phi.T), 0, -1)
+    rotation = identity + a * turning + b * (phi[:, None] * phi[None] - square * identity)
     return rotation, w, alpha
 
 
@@ -332,13 +294,6 @@ def in_body_axes(quaternions: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     twice = 2.0 * np.cross(u, vectors)
     turned: np.ndarray = w * twice + np.cross(u, twice)
     return vectors + turned / (quaternions**2).sum(axis=1)[:, None]
-
-
-def composed(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Quaternions (..., 4) of R(first) R(second)."""
-    a, u, b, v = first[..., :1], first[..., 1:], second[..., :1], second[..., 1:]
-    scalar = a * b - (u * v).sum(axis=-1, keepdims=True)
-    return np.concatenate([scalar, a * v + b * u + np.cross(u, v)], axis=-1)
 
 
 def turn_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:

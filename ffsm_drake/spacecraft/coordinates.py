@@ -13,12 +13,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint
 
 from ffsm_drake.common.errors import ScenarioError, choices, some
-from ffsm_drake.common.so3 import (
-    rotation_error,
-    rotation_error_rate,
-    rotation_errors,
-    times_conjugate,
-)
+from ffsm_drake.common.so3 import rotation_error, rotation_error_rate, times_conjugate
 
 BASE_ROTATION = ("base_rotation_x", "base_rotation_y", "base_rotation_z")
 BASE_POSITION = ("base_position_x", "base_position_y", "base_position_z")
@@ -240,21 +235,9 @@ def error_rate(error: np.ndarray, v_d: np.ndarray, v: np.ndarray) -> np.ndarray:
 def tracking_errors(
     desired: np.ndarray, actual: np.ndarray, num_positions: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """``position_error`` and ``error_rate`` (..., nv each) from states [q; v] (..., nq + nv), of
-    one or of rows (n, nq + nv), each with the bits it has alone.
-    """
-    split, difference = num_positions, desired - actual
-    e, e_dot = difference[..., 1:split], difference[..., split:]
-    if actual.ndim == 1:
-        e[:3] = rotation = rotation_error(desired[:4], actual[:4])
-        e_dot[:3] = rotation_error_rate(
-            rotation, desired[split : split + 3], actual[split : split + 3]
-        )
-    else:
-        rates = desired[:, split : split + 3].T, actual[:, split : split + 3].T
-        rotations, rotation_rates = rotation_errors(desired[:, :4].T, actual[:, :4].T, *rates)
-        e[:, :3], e_dot[:, :3] = rotations.T, rotation_rates.T
-    return e, e_dot
+    """``position_error`` and ``error_rate`` (nv each) from states [q; v] (nq + nv)."""
+    error = position_error(desired[:num_positions], actual[:num_positions])
+    return error, error_rate(error, desired[num_positions:], actual[num_positions:])
 
 
 def position_errors(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:

@@ -89,9 +89,11 @@ def test_tracking_errors_of_any_size_are_those_of_numpy():
     actual[-1, :4] = [1.0, 0.0, 0.0, 0.0]
     desired[:, :4] = composed(turns, actual[:, :4])
     actual[100] = np.nan
-    rows = zip(desired.tolist(), actual.tolist(), strict=True)
-    found = np.array([np.hstack(errors.tracking_errors(*each, nq)) for each in rows])
-    expected = np.hstack(tracking_errors(desired, actual, nq))
+    rows = list(zip(desired, actual, strict=True))
+    found = np.array(
+        [np.hstack(errors.tracking_errors(d.tolist(), a.tolist(), nq)) for d, a in rows]
+    )
+    expected = np.array([np.hstack(tracking_errors(*each, nq)) for each in rows])
     lengths = np.linalg.norm(expected[:, :3], axis=1)[:, None]
     assert np.isnan(found[100]).all()
     near = np.abs(found - expected)[:, :3] <= 2e-15 * lengths
