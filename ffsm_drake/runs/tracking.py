@@ -62,7 +62,7 @@ def frame_error(
       model: the true plant, flexible parts included.
       q: its configurations (n, nq).
       q_d: planned configurations (n, nq), which give the reference without a path.
-      desired: rows of FramePath (n, 19); None: no path is prescribed.
+      desired: rows of the frame's path (n, 19); None: no path is prescribed.
     """
     frame = goal_frame(scenario, model.plant)
     reference = frame_poses(model, q_d, frame) if desired is None else desired[:, :7]

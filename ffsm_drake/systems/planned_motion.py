@@ -2,6 +2,7 @@
 
 import abc
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -67,6 +68,30 @@ class PlannedMotion(abc.ABC):
             self._first_sample = sample
             self._rows = self.rows(self._sample_time * np.arange(sample, sample + count))
         return self._rows[sample - self._first_sample]
+
+
+class Path(Protocol):
+    """A curve that ends at rest."""
+
+    @property
+    def end(self) -> float:
+        """Time at which it comes to rest, s."""
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """Its rows (n, size) at times (n,), s."""
+
+
+class PathMotion(PlannedMotion):
+    """The motion along a path; the path of a frame has the rows of that."""
+
+    def __init__(self, path: Path, *, coordinates: Coordinates, sample_time: float) -> None:
+        """Args: the path; names of the generalized velocities; the control period, s."""
+        self._path = path
+        super().__init__(coordinates=coordinates, sample_time=sample_time, end=path.end)
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """The rows of the path at times (n,)."""
+        return self._path.rows(times)
 
 
 class InTurn(PlannedMotion):

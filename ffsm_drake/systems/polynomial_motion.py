@@ -1,4 +1,6 @@
-"""A polynomial in the coordinates, from one posture to another."""
+"""Polynomials in the coordinates: from one posture to another, or of a frame from pose to pose."""
+
+import dataclasses
 
 import numpy as np
 from pydrake.math import RollPitchYaw
@@ -12,10 +14,51 @@ from ffsm_drake.common.so3 import (
 from ffsm_drake.scenario import Posture
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.blend import Blend
-from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.planned_motion import PathMotion
 
 
-class PolynomialMotion(PlannedMotion):
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class BlendedPath:
+    """start + change s(t) + velocity g(t), with the blend's progress s and its stop g.
+
+    The first three of the n entries are a rotation, the next three a position; world axes, rad, m,
+    s.
+    """
+
+    # quaternion (4; w, x, y, z) of the first attitude, from which the rotation is a rotation
+    # vector; None: roll, pitch, yaw
+    first: np.ndarray | None
+    start: np.ndarray  # (n)
+    change: np.ndarray  # (n)
+    velocity: np.ndarray  # (n) at the start; zero for roll, pitch, yaw
+    blend: Blend
+
+    @property
+    def end(self) -> float:
+        """Time at which the motion comes to rest, s."""
+        return self.blend.duration
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """[quaternion (w, x, y, z), others; w, rates of the others; alpha, accelerations] at times
+        (m,), s: (m, 3 n + 1); at rest outside the motion.
+        """
+        s, ds, dds = (column[:, None] for column in self.blend.blend(times))
+        moved = [self.start + s * self.change, ds * self.change, dds * self.change]
+        if self.velocity.any():
+            stop = self.blend.stop(times)
+            moved = [each + g[:, None] * self.velocity for each, g in zip(moved, stop, strict=True)]
+        rotation = [each[:, :3] for each in moved]
+        if self.first is None:
+            turn = rpy_motion(*rotation)
+        elif self.velocity.any():
+            turn = rotation_vector_motion(self.first, *rotation)
+        else:
+            turn = eigenaxis_motion(self.first, self.change[:3], (s, ds, dds))
+        others = [each[:, 3:] for each in moved]
+        return np.hstack([part for both in zip(turn, others, strict=True) for part in both])
+
+
+class PolynomialMotion(PathMotion):
     """A polynomial from one posture to another, or to rest at the least cost."""
 
     def __init__(
@@ -35,51 +78,18 @@ class PolynomialMotion(PlannedMotion):
         any constant metric, is least. ``velocity`` (nv) at the start defaults to zero;
         ``base_rotation`` "rpy" allows no other.
         """
-        self._blend = blend
-        vectors = [
-            np.concatenate(
-                [
-                    posture.base_rpy,
-                    posture.base_position,
-                    coordinates.vector(posture.joints, key="joints", default=0.0)[6:],
-                ]
-            )
-            for posture in (start, target or start)
-        ]
-        # Roll, pitch, yaw, position, joints; for an eigenaxis turn the angles are replaced by a
-        # rotation vector from the first attitude, world frame.
-        self._start, self._change = vectors[0], vectors[1] - vectors[0]
-        self._velocity = velocity if velocity is not None and velocity.any() else None
-        self._first: np.ndarray | None = None  # the first attitude, a quaternion
-        if base_rotation == "eigenaxis":
-            self._first, end = (
-                RollPitchYaw(posture.base_rpy).ToQuaternion().wxyz()
-                for posture in (start, target or start)
-            )
-            self._start[:3], self._change[:3] = 0.0, rotation_error(end, self._first)
-        if target is None and self._velocity is not None:
-            self._change = blend.stopping_time * self._velocity
-        super().__init__(coordinates=coordinates, sample_time=sample_time, end=blend.duration)
-
-    def rows(self, times: np.ndarray) -> np.ndarray:
-        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
-        s, ds, dds = (column[:, None] for column in self._blend.blend(times))
-        value, rate, acceleration = (
-            self._start + s * self._change,
-            ds * self._change,
-            dds * self._change,
+        postures = (start, target or start)
+        joints = (coordinates.vector(p.joints, key="joints", default=0.0)[6:] for p in postures)
+        begin, end = (
+            np.concatenate([posture.base_rpy, posture.base_position, own])
+            for posture, own in zip(postures, joints, strict=True)
         )
-        if self._velocity is not None:
-            g, dg, ddg = (column[:, None] for column in self._blend.stop(times))
-            value += g * self._velocity
-            rate += dg * self._velocity
-            acceleration += ddg * self._velocity
-        if self._first is None:
-            quaternion, omega, alpha = rpy_motion(value[:, :3], rate[:, :3], acceleration[:, :3])
-        elif self._velocity is None:
-            quaternion, omega, alpha = eigenaxis_motion(self._first, self._change[:3], (s, ds, dds))
-        else:
-            quaternion, omega, alpha = rotation_vector_motion(
-                self._first, value[:, :3], rate[:, :3], acceleration[:, :3]
-            )
-        return np.hstack([quaternion, value[:, 3:], omega, rate[:, 3:], alpha, acceleration[:, 3:]])
+        velocity, change = np.zeros(begin.size) if velocity is None else velocity, end - begin
+        first: np.ndarray | None = None
+        if base_rotation == "eigenaxis":
+            first, last = (RollPitchYaw(p.base_rpy).ToQuaternion().wxyz() for p in postures)
+            begin[:3], change[:3] = 0.0, rotation_error(last, first)
+        if target is None and velocity.any():
+            change = blend.stopping_time * velocity
+        path = BlendedPath(first=first, start=begin, change=change, velocity=velocity, blend=blend)
+        super().__init__(path, coordinates=coordinates, sample_time=sample_time)

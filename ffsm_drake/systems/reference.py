@@ -30,10 +30,10 @@ from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.duration import shortest_duration
-from ffsm_drake.systems.frame_path import FramePath, goal_frame, make_frame_path
+from ffsm_drake.systems.frame_path import goal_frame, make_frame_path
 from ffsm_drake.systems.part import UNIT, Part, Signal, state_signals
-from ffsm_drake.systems.plan import Plan, load_plan
-from ffsm_drake.systems.planned_motion import InTurn, PlannedMotion
+from ffsm_drake.systems.plan import load_plan
+from ffsm_drake.systems.planned_motion import InTurn, PathMotion, PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -45,34 +45,6 @@ SIGNALS = (
         dimension="coordinate", held=False,
     ),
 )  # fmt: skip
-
-
-class SplineMotion(PlannedMotion):
-    """The motion of a plan."""
-
-    def __init__(self, plan: Plan, *, coordinates: Coordinates, sample_time: float) -> None:
-        """Args:
-        plan: the plan.
-        coordinates: the spacecraft's coordinates.
-        sample_time: the control period, s.
-        """
-        self._plan = plan
-        super().__init__(coordinates=coordinates, sample_time=sample_time, end=plan.end)
-
-    def rows(self, times: np.ndarray) -> np.ndarray:
-        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
-        return self._plan.rows(times)
-
-
-class _FrameMotion(PlannedMotion):
-    """The path of a frame, with the rows of FramePath."""
-
-    def __init__(self, path: FramePath, *, coordinates: Coordinates, sample_time: float) -> None:
-        self._path = path
-        super().__init__(coordinates=coordinates, sample_time=sample_time, end=path.end)
-
-    def rows(self, times: np.ndarray) -> np.ndarray:
-        return self._path.rows(times)
 
 
 class _MotionSource(LeafSystem):
@@ -131,7 +103,7 @@ def make_motion(scenario: Scenario, coordinates: Coordinates, grip: Grip = WHOLE
     stop: PlannedMotion
     if reference.kind == "optimal":
         plan = load_plan(reference.plan or "", coordinates)
-        stop = SplineMotion(plan, coordinates=coordinates, sample_time=period)
+        stop = PathMotion(plan, coordinates=coordinates, sample_time=period)
     else:
         if duration is None:
             duration = shortest_duration(
@@ -214,7 +186,7 @@ class PlannedReference(Part):
         Outputs:
           desired_state: [q_d; v_d] (nq + nv).
           desired_acceleration: time derivative of v_d (nv).
-          desired_frame: rows of FramePath (19), if the pose of a frame is prescribed.
+          desired_frame: rows of ``make_frame_path`` (19), if the pose of a frame is prescribed.
         """
         planned = make_motion(setup.scenario, setup.coordinates, setup.grip)
         return reference_from(planned, make_frame_motion(setup.scenario, setup.nominal, planned))
@@ -244,7 +216,7 @@ def make_frame_motion(
     if not prescribes_frame(scenario):
         return None
     path = make_frame_path(scenario, nominal, duration=planned.end - planned.begin)
-    return _FrameMotion(path, coordinates=planned.coordinates, sample_time=scenario.sample_time)
+    return PathMotion(path, coordinates=planned.coordinates, sample_time=scenario.sample_time)
 
 
 def prescribes_frame(scenario: Scenario) -> bool:

@@ -77,7 +77,7 @@ def test_where_nothing_is_asked_it_stays():
     path, _, _ = path_of("reference.frame={}")
     assert_allclose(
         path.rows(np.array([0.0, 9.0])),
-        np.tile(np.r_[path.first, np.zeros(12)], (2, 1)),
+        np.tile(np.r_[path.first, path.start[3:], np.zeros(12)], (2, 1)),
         atol=1e-15,
     )
 

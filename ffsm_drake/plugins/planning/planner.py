@@ -29,7 +29,7 @@ from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.plan import DEGREE, Plan
-from ffsm_drake.systems.reference import SplineMotion
+from ffsm_drake.systems.planned_motion import PathMotion
 
 _FINE = 8 * INSTANTS  # instants per segment, at which a plan is checked
 _POSTURES = 100  # number of instants for the clearance
@@ -321,7 +321,7 @@ class _Planner:
         size = len(model.coordinates.names)
         if model.coordinates.undriven:
             sample_time = self._scenario.sample_time
-            planned = SplineMotion(plan, coordinates=model.coordinates, sample_time=sample_time)
+            planned = PathMotion(plan, coordinates=model.coordinates, sample_time=sample_time)
             followed = FreeMotion(planned, model=model, sample_time=sample_time)
             followed.accuracy = _ACCURACY
             rows = followed.rows(times)

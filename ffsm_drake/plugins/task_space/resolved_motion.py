@@ -31,8 +31,8 @@ from ffsm_drake.spacecraft.coordinates import (
 )
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.systems.frame_path import FramePath
 from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.polynomial_motion import BlendedPath
 
 # rows of a twist
 _ROWS = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6), "none": slice(0, 0)}
@@ -90,7 +90,7 @@ class ResolvedMotion(MomentumMotion):
         self,
         wanted: PlannedMotion,
         *,
-        path: FramePath,
+        path: BlendedPath,
         goal: FrameGoal,
         frame: Frame,
         model: PlantModel,
