@@ -12,18 +12,17 @@
 
 import dataclasses
 import functools
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from pydrake.common import RandomGenerator
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import Context, DiagramBuilder, InputPort, OutputPort, System
+from pydrake.systems.framework import Context, DiagramBuilder, OutputPort, System
 from pydrake.systems.primitives import (
     Adder,
     ConstantVectorSource,
     Gain,
-    Selector,
     ZeroOrderHold,
 )
 
@@ -53,8 +52,8 @@ from ffsm_drake.spacecraft.start import state_at_start
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.part import EFFORT, Parts, Signal
 from ffsm_drake.systems.registry import Factory
+from ffsm_drake.systems.sampled import NEXT
 from ffsm_drake.systems.selection import make_selector
-from ffsm_drake.systems.sensing.stages import wire_stages
 
 # Signals of every closed loop. Further signals: the controller's OPTIONAL_OUTPUTS, the actuators'
 # outputs, "hidden_state" with hidden coordinates, and "force_<name>" for each of several external
@@ -324,8 +323,11 @@ Source = tuple[System, str]  # a system, and the name of its output port
 
 
 class _Wiring:
-    """The connections between the blocks and the plant of a loop, in steps; ``sources`` are its
-    signals so far.
+    """The connections between the blocks and the plant of a loop.
+
+    A port reads the signal of its name, in ``_signals``: each step adds the outputs of some
+    blocks, or others in place of what acted before, and feeds the blocks that read them.
+    ``sources`` are the signals that are recorded.
     """
 
     def __init__(
@@ -339,57 +341,58 @@ class _Wiring:
     ) -> None:
         self._builder, self._plant, self._sample_time = builder, plant, sample_time
         self._coordinates, self._split, self._blocks = coordinates, split, blocks
-        self._controller, self._actuation = blocks["controller"], blocks.get("actuation")
-        self._forces = self._of_kind("forces")
-        self._supervisor = blocks.get("supervisor")
-        self._states = self._add_states() if split.names else {"state": (plant, "state")}
-        self.sources: dict[str, Source] = dict(self._states)
+        self._controller = blocks["controller"]
+        self._stages, self._forces = (
+            [system for name, system in blocks.items() if kind_of(name) == kind]
+            for kind in ("sensing", "forces")
+        )
+        self._signals = self._states()
+        self.sources = dict(self._signals)
 
     def connect(self, parts: Parts, joint_force: np.ndarray | None) -> None:
         """All steps; ``parts`` are those whose signals are recorded."""
-        self.measure()
-        self.follow()
-        self.actuate(joint_force)
-        self.act()
-        self.record_controller()
-        self.record_parts(parts)
+        self._measure()
+        self._command()
+        self._actuate(joint_force)
+        self._act()
+        self._record(parts)
 
-    def measure(self) -> None:
-        """The stages of sensing in a row, from the plant to the controller."""
-        stages = list(self._of_kind("sensing").values())
-        row = wire_stages(self._builder, stages)
-        for port in row.inputs:
-            self._connect("state", port)
-        self._builder.Connect(row.estimated_state, self._controller.GetInputPort("estimated_state"))
-        new = "measurement_is_new"
-        if row.measurement_is_new is not None and self._controller.HasInputPort(new):
-            self._builder.Connect(row.measurement_is_new, self._controller.GetInputPort(new))
-        self.sources["estimated_state"] = (stages[-1], "estimated_state")
+    def _measure(self) -> None:
+        """The stages of sensing in a row: each reads the estimate of the one before."""
+        self._signals["true_state"] = true = self._signals["state"]
+        for stage in self._stages:
+            self._feed(stage)
+            self._add(stage, ("estimated_state", "measurement_is_new", ISOLATED))
+            self._signals["state"] = self._signals["estimated_state"]
+        self._signals["state"] = true
+        self.sources["estimated_state"] = self._signals["estimated_state"]
         # Measurement of the controller's last sample, for the record.
         self.sources["measurement"] = self._hold("estimated_state", "measurement")
 
-    def follow(self) -> None:
-        """The planned motion, from the reference to the controller."""
-        reference, ports = self._blocks["reference"], BLOCKS["reference"]
-        for name in (*ports.outputs, *ports.optional_outputs):
-            if reference.HasOutputPort(name):
-                self.sources[name] = (reference, name)
-                if self._supervisor is not None and self._supervisor.HasInputPort(name):
-                    self._connect(name, self._supervisor.GetInputPort(name))
-                    self.sources[name] = (self._supervisor, name)
-                if self._controller.HasInputPort(name):
-                    self._connect(name, self._controller.GetInputPort(name))
+    def _command(self) -> None:
+        """From the planned motion to the command, which a supervisor may change both."""
+        motion, supervisor = BLOCKS["reference"], self._blocks.get("supervisor")
+        self._add(self._blocks["reference"], (*motion.outputs, *motion.optional_outputs))
+        self._add(self._controller, ("generalized_force",))
+        asking = [(each, ABORT) for each in self._blocks.values() if each.HasOutputPort(ABORT)]
+        if supervisor is not None:
+            if asking and supervisor.HasInputPort(ABORT):
+                self._signals[ABORT] = self._sum(ABORT, asking)
+            self._feed(supervisor)
+            ports = BLOCKS["supervisor"]
+            self._add(supervisor, (*ports.outputs, *ports.optional_outputs))
+        self._feed(self._controller)
+        known = (*motion.outputs, *motion.optional_outputs, "generalized_force")
+        self.sources |= {name: self._signals[name] for name in known if name in self._signals}
 
-    def actuate(self, joint_force: np.ndarray | None) -> None:
-        """Wire the actuators; the controller receives the applied force."""
-        controller, actuation, name = self._controller, self._actuation, "applied_force"
-        self.sources["generalized_force"] = applied = (controller, "generalized_force")
-        if self._supervisor is not None:
-            self.sources["generalized_force"] = applied = self._supervise(self._supervisor)
+    def _actuate(self, joint_force: np.ndarray | None) -> None:
+        """From the command to the applied force, which the controller receives."""
+        actuation, applied = self._blocks.get("actuation"), self._signals["generalized_force"]
         if actuation is not None:
-            self._connect("generalized_force", actuation.GetInputPort("commanded_force"))
-            self._give_states(actuation)
-            applied = (actuation, name)
+            self._signals["commanded_force"] = applied
+            self._feed(actuation)
+            self._add(actuation, (*OF_ACTUATORS, *FROM_ACTUATORS, *BESIDES))
+            applied = (actuation, "applied_force")
         # no force acts there for any command
         if joint_force is not None or self._coordinates.undriven:
             mask = self._coordinates.is_driven.astype(float)
@@ -397,173 +400,119 @@ class _Wiring:
                 mask[NUM_BASE_VELOCITIES:] = 0.0
             driven = self._builder.AddNamedSystem("driven_force", Gain(mask))
             self._builder.Connect(_port(applied), driven.get_input_port())
-            applied = (driven, driven.get_output_port().get_name())
+            applied = _output(driven)
         if joint_force is not None:
             whole = np.pad(joint_force, (NUM_BASE_VELOCITIES, 0))
             held = self._builder.AddNamedSystem("joint_force", ConstantVectorSource(whole))
-            applied = self._sum("applied", [applied, (held, held.get_output_port().get_name())])
-        self.sources[name] = applied
-        if actuation is not None and actuation.HasOutputPort(TOLD):
-            applied = (actuation, TOLD)
-        if controller.HasInputPort(name):
-            self._builder.Connect(_port(applied), controller.GetInputPort(name))
-        self._tell_of_actuators(applied)
+            applied = self._sum("applied", [applied, _output(held)])
+        self.sources["applied_force"] = applied
+        self._signals["applied_force"] = self._signals.setdefault(TOLD, applied)
+        self._feed(self._controller)
+        self._feed(*self._stages, ports=OF_ACTUATORS)  # their measurements are wired
 
-    def _tell_of_actuators(self, told: Source) -> None:
-        """Wire the fault-detecting stages of sensing to the actuators."""
-        for stage in self._of_kind("sensing").values():
-            found = {TOLD: told}
-            if self._actuation is not None:
-                found |= {
-                    name: (self._actuation, name)
-                    for name in OF_ACTUATORS[1:]
-                    if self._actuation.HasOutputPort(name)
-                }
-                if stage.HasOutputPort(ISOLATED) and self._actuation.HasInputPort(ISOLATED):
-                    port = self._actuation.GetInputPort(ISOLATED)
-                    self._builder.Connect(stage.GetOutputPort(ISOLATED), port)
-            for name in filter(stage.HasInputPort, found):
-                self._builder.Connect(_port(found[name]), stage.GetInputPort(name))
-
-    def _supervise(self, supervisor: System) -> Source:
-        """Return the command of a supervisor, from the law's force and the blocks' requests."""
-        self._connect("estimated_state", supervisor.GetInputPort("estimated_state"))
-        self._connect("generalized_force", supervisor.GetInputPort("generalized_force"))
-        asking = [each for each in self._blocks.values() if each.HasOutputPort(ABORT)]
-        if asking and supervisor.HasInputPort(ABORT):
-            self.sources[ABORT] = self._sum(ABORT, [(each, ABORT) for each in asking])
-            self._connect(ABORT, supervisor.GetInputPort(ABORT))
-            del self.sources[ABORT]
-        if self._controller.HasInputPort("restart") and supervisor.HasOutputPort("restart"):
-            restart = supervisor.GetOutputPort("restart")
-            self._builder.Connect(restart, self._controller.GetInputPort("restart"))
-        return supervisor, "generalized_force"
-
-    def act(self) -> None:
+    def _act(self) -> None:
         """All forces on the plant, along its own v: H q'' + C = tau + tau_d."""
-        forces, builder, name = self._forces, self._builder, "generalized_force"
-        for system in forces.values():
-            self._give_states(system)
-            for port in filter(system.HasInputPort, FROM_ACTUATORS):
-                if self._actuation is not None and self._actuation.HasOutputPort(port):
-                    builder.Connect(self._actuation.GetOutputPort(port), system.GetInputPort(port))
-        last = [system for system in forces.values() if system.HasInputPort("other_force")]
-        others = [(system, name) for system in forces.values() if system not in last]
-        total = [self.sources["applied_force"], *others]
-        if self._actuation is not None:
-            besides = filter(self._actuation.HasOutputPort, BESIDES)
-            total += [(self._actuation, each) for each in besides]
-        acts = self._sum("total_force", total)
+        forces, own, hidden = self._forces, "generalized_force", "hidden_force"
+        self._feed(*forces)
+        last = [system for system in forces if system.HasInputPort("other_force")]
+        besides = [self._signals[name] for name in BESIDES if name in self._signals]
+        others = [(system, own) for system in forces if system not in last]
+        acts = self._sum("total_force", [self.sources["applied_force"], *others, *besides])
         if last:
-            for system in last:
-                builder.Connect(_port(acts), system.GetInputPort("other_force"))
-            acts = self._sum("last_force", [acts, *((system, name) for system in last)])
-        if self._controller.HasInputPort(WRENCH):
-            for system in forces.values():
-                if system.HasOutputPort(WRENCH):
-                    builder.Connect(
-                        system.GetOutputPort(WRENCH), self._controller.GetInputPort(WRENCH)
-                    )
-        on_hidden = [system for system in forces.values() if system.HasOutputPort("hidden_force")]
+            self._signals["other_force"] = acts
+            self._feed(*last)
+            acts = self._sum("last_force", [acts, *((system, own) for system in last)])
+        for system in forces:
+            self._add(system, (WRENCH,))
+        self._feed(self._controller)
+        on_hidden = [system for system in forces if system.HasOutputPort(hidden)]
         if self._split.names:
-            acts = self._on_whole_plant(acts, on_hidden)
-        builder.Connect(_port(acts), self._plant.get_applied_generalized_force_input_port())
+            acts = self._on_whole_plant(acts, [(system, hidden) for system in on_hidden])
+        self._builder.Connect(_port(acts), self._plant.get_applied_generalized_force_input_port())
         now = {
-            each: (system, f"next_{name}" if system.HasOutputPort(f"next_{name}") else name)
-            for each, system in forces.items()
-            if not any(map(system.HasInputPort, FROM_ACTUATORS))
+            name: _at_once(system, own)
+            for name, system in self._blocks.items()
+            if system in forces and not any(map(system.HasInputPort, FROM_ACTUATORS))
         }
-        self.sources["disturbance_force"] = self._sum("external_force", list(now.values()))
+        self.sources["disturbance_force"] = self._sum("external_force", [*now.values()])
         if on_hidden:
-            hidden, own = "external_hidden_force", "hidden_force"
-            ports = [(system, f"next_{own}") for system in on_hidden]
-            ports = [each if each[0].HasOutputPort(each[1]) else (each[0], own) for each in ports]
-            self.sources[hidden] = self._sum(hidden, ports)
+            ports = [_at_once(system, hidden) for system in on_hidden]
+            name = "external_hidden_force"
+            self.sources[name] = self._sum(name, ports)
         if len(now) > 1:
             self.sources |= {f"force_{each.partition('.')[2]}": now[each] for each in now}
 
-    def record_controller(self) -> None:
-        """Record the controller's optional outputs."""
+    def _record(self, parts: Parts) -> None:
+        """Record the optional outputs of the controller and the signals of parts; signals of
+        sensing at the last control sample.
+        """
         names = filter(self._controller.HasOutputPort, BLOCKS["controller"].optional_outputs)
         self.sources |= {name: (self._controller, name) for name in names}
-
-    def record_parts(self, parts: Parts) -> None:
-        """Record the signals of parts; signals of sensing at the last control sample."""
         for name, part in parts.items():
-            self.sources |= {each: (self._blocks[part.block], each) for each in part.part.logged}
+            block = self._blocks.get(part.block)
+            self.sources |= {each: (block, each) for each in part.part.logged}
             for signal in part.signals:
                 if signal.name in self.sources:
                     problem = f"signal '{signal.name}' has the name of another; rename it"
                     raise BlockError(f"blocks.{name}: {problem}")
                 if signal.of is not None:
                     continue
-                self.sources[signal.name] = (self._blocks[part.block], signal.name)
+                self.sources[signal.name] = (block, signal.name)
                 if kind_of(part.block) == "sensing":
                     held = self._hold(signal.name, f"{signal.name}_at_samples")
                     self.sources[signal.name] = held
 
-    def _of_kind(self, kind: str) -> dict[str, System]:
-        return {name: system for name, system in self._blocks.items() if kind_of(name) == kind}
+    def _feed(self, *systems: System, ports: Iterable[str] | None = None) -> None:
+        """Connect the input ports of systems, or those with some names, that read a signal and are
+        not connected yet.
+        """
+        for system in systems:
+            for name in filter(system.HasInputPort, self._signals if ports is None else ports):
+                port = system.GetInputPort(name)
+                if name in self._signals and not self._builder.IsConnectedOrExported(port):
+                    self._builder.Connect(_port(self._signals[name]), port)
 
-    def _connect(self, source: str, port: InputPort) -> None:
-        self._builder.Connect(_port(self.sources[source]), port)
-
-    def _give_states(self, system: System) -> None:
-        """The states that a system reads."""
-        for name in filter(system.HasInputPort, self._states):
-            self._connect(name, system.GetInputPort(name))
+    def _add(self, system: System, names: Iterable[str]) -> None:
+        """Add the outputs that a system has among some names."""
+        self._signals |= {name: (system, name) for name in filter(system.HasOutputPort, names)}
 
     def _hold(self, source: str, name: str) -> Source:
-        """Return the value of a signal at the last control sample."""
+        """Return the value of a recorded signal at the last control sample."""
         port = _port(self.sources[source])
         hold = self._builder.AddNamedSystem(name, ZeroOrderHold(self._sample_time, port.size()))
         self._builder.Connect(port, hold.get_input_port())
-        return hold, hold.get_output_port().get_name()
+        return _output(hold)
 
-    def _on_whole_plant(self, acts: Source, on_hidden: list[System]) -> Source:
-        """Combine a force on the known coordinates with forces of systems on hidden coordinates."""
-        nv, nh = len(self._coordinates.names), len(self._split.names)
-        terms = {"known_force": (_port(acts), self._split.known)}
+    def _on_whole_plant(self, acts: Source, on_hidden: list[Source]) -> Source:
+        """Combine a force on the known coordinates with forces on hidden coordinates."""
         if on_hidden:
-            forces = [(system, "hidden_force") for system in on_hidden]
-            terms["hidden_force"] = (
-                _port(self._sum("total_hidden_force", forces)),
-                self._split.hidden,
-            )
+            hidden = self._sum("total_hidden_force", on_hidden)
         else:
-            zero = ConstantVectorSource(np.zeros(nh))
-            self._builder.AddNamedSystem("no_hidden_force", zero)
-            terms["hidden_force"] = (zero.get_output_port(), self._split.hidden)
-        origin = {
-            int(entry): (index, offset)
-            for index, (_, entries) in enumerate(terms.values())
-            for offset, entry in enumerate(entries)
-        }
-        places = list(map(origin.__getitem__, range(nv + nh)))
-        sizes = {name: port.size() for name, (port, _) in terms.items()}
-        whole = self._select("whole_force", sizes, {"whole_force": places})
-        for index, (port, _) in enumerate(terms.values()):
-            self._builder.Connect(port, whole.get_input_port(index))
-        return whole, "whole_force"
+            zero = ConstantVectorSource(np.zeros(len(self._split.names)))
+            hidden = _output(self._builder.AddNamedSystem("no_hidden_force", zero))
+        terms = {"known_force": acts, "hidden_force": hidden}
+        entries = self._split.known, self._split.hidden
+        places = [(k, i) for k, of in enumerate(entries) for i in range(len(of))]
+        order = np.argsort(np.concatenate(entries))
+        sizes = {name: _port(source).size() for name, source in terms.items()}
+        whole = {"whole_force": [places[i] for i in order]}
+        selector = self._builder.AddNamedSystem("whole_force", make_selector(sizes, whole))
+        for index, source in enumerate(terms.values()):
+            self._builder.Connect(_port(source), selector.get_input_port(index))
+        return selector, "whole_force"
 
-    def _add_states(self) -> dict[str, Source]:
-        """Return the known and the hidden state, taken from the plant's."""
-        size, split = self._plant.num_multibody_states(), self._split
-        entries = np.arange(size)
+    def _states(self) -> dict[str, Source]:
+        """Return the known state, and the hidden one if there is any, taken from the plant's."""
+        split, state = self._split, self._plant.get_state_output_port()
+        if not split.names:
+            return {"state": (self._plant, "state")}
+        entries = np.arange(state.size())
         parts = {"state": split.known_part(entries), "hidden_state": split.hidden_part(entries)}
         places = {name: [(0, int(i)) for i in of] for name, of in parts.items()}
-        selector = self._select("states", {"whole_state": size}, places)
-        self._builder.Connect(self._plant.get_state_output_port(), selector.get_input_port())
+        selector = make_selector({"whole_state": state.size()}, places)
+        self._builder.AddNamedSystem("states", selector)
+        self._builder.Connect(state, selector.get_input_port())
         return {name: (selector, name) for name in parts}
-
-    def _select(
-        self, name: str, inputs: Mapping[str, int], outputs: Mapping[str, list[tuple[int, int]]]
-    ) -> Selector:
-        """Return a system with entries of its inputs as outputs: for each, the input and the place
-        in it.
-        """
-        selector: Selector = self._builder.AddNamedSystem(name, make_selector(inputs, outputs))
-        return selector
 
     def _sum(self, name: str, terms: list[Source]) -> Source:
         """Return the sum of ports; a single port is returned unchanged."""
@@ -573,7 +522,18 @@ class _Wiring:
         adder = self._builder.AddNamedSystem(name, Adder(len(terms), ports[0].size()))
         for index, port in enumerate(ports):
             self._builder.Connect(port, adder.get_input_port(index))
-        return adder, adder.get_output_port().get_name()
+        return _output(adder)
+
+
+def _at_once(system: System, name: str) -> Source:
+    """The output of a system after the update of a control sample, if it has one of its own."""
+    after = f"{NEXT}{name}"
+    return system, after if system.HasOutputPort(after) else name
+
+
+def _output(system: System) -> Source:
+    """The only output of a system."""
+    return system, system.get_output_port().get_name()
 
 
 def _port(source: Source) -> OutputPort:
