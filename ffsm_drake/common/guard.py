@@ -76,24 +76,32 @@ class Guard(ContextDecorator):
 guarded = Guard()
 
 
-def calling(place: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call user-supplied code and return its result. Raises BlockError naming ``place`` if it
-    fails.
-    """
+def calling(
+    place: str,
+    function: Callable[..., Any],
+    *arguments: Any,
+    time: float | None = None,
+    did: str = "failed",
+) -> Any:
+    """Call user-supplied code and return its result. Raises the error of ``failure``."""
     try:
         return function(*arguments)
     except BaseException as error:
         if passes(error):
             raise
-        raise failure(error, place) from error
+        raise failure(error, place, time, did) from error
 
 
-def failure(error: BaseException, place: str, time: float | None = None) -> BlockError:
-    """Return the error for a failed block: its place, time (s), cause, and source line."""
+def failure(
+    error: BaseException, place: str, time: float | None = None, did: str = "failed"
+) -> BlockError:
+    """Return the error for a failed block: its place, what it did, time (s), cause, and source
+    line.
+    """
     at = "" if time is None else f" at t = {time:.2f} s"
     kind = type(error).__name__
     said = f"{kind}: {one_line(error)}{where(error)}{_advice(error)}"
-    return BlockError(f"{place} failed{at}: {said}")
+    return BlockError(f"{place} {did}{at}: {said}")
 
 
 def where(error: BaseException) -> str:

@@ -44,6 +44,32 @@ def numbers(value: Any, shape: tuple[int, ...] | None, what: str, *, kinds: str 
     return np.asarray(array, dtype=float)
 
 
+def arrays(
+    value: Any, at: str, *, of: str = "memory", shapes: Mapping[str, tuple[int, ...]] | None = None
+) -> dict[str, np.ndarray]:
+    """Return a mapping of names to arrays, as arrays of floats.
+
+    Args:
+      value: the result.
+      at: the function that returned it, for errors.
+      of: what it is.
+      shapes: their shapes by name; None: vectors of any names, of at most MOST_MEMORY numbers.
+
+    Raises:
+      BlockError: it is something else.
+    """
+    found, made = mapping(value, at), dict[str, np.ndarray]()
+    if shapes is not None and found.keys() != shapes.keys():
+        wanted = f"{of} {', '.join(shapes)}" if shapes else f"no {of}"
+        raise BlockError(f"{at} must return {wanted}, not {', '.join(found) or 'none'}")
+    for name, each in found.items():
+        shape = None if shapes is None else shapes[name]
+        made[name] = numbers(each, shape, f"{at} returned '{name}'", kinds=f"{_NUMBERS}b")
+    if (total := sum(each.size for each in made.values())) > MOST_MEMORY:
+        raise BlockError(f"{at} has {total} numbers; at most {MOST_MEMORY} can be kept")
+    return made
+
+
 def described(value: Any) -> str:
     """Return the type of a value, in words."""
     if isinstance(value, np.ndarray):

@@ -16,8 +16,8 @@ from typing import Any
 
 from pydrake.systems.framework import System
 
-from ffsm_drake.common.errors import BlockError, ScenarioError, choices, one_line
-from ffsm_drake.common.guard import passes
+from ffsm_drake.common.errors import BlockError, ScenarioError, choices
+from ffsm_drake.common.guard import calling
 from ffsm_drake.common.settings import require_valid
 from ffsm_drake.scenario import Block, Scenario, build_settings, kind_of
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
@@ -174,91 +174,58 @@ def make_blocks(
       ScenarioError: a value is given for an unknown coordinate; an unknown block or name.
       BlockError: a user-supplied block cannot be loaded, built or wired.
     """
-    making = _Making(scenario, nominal, factories or {}, split or StateSplit())
-    for name in making.names:
-        if name == "controller":
-            making.make_controller()
-        else:
-            making.make_block(name)
-    return making.blocks, making.parts()
+    given = factories or {}
+    _check_names(given)
+    scenario = settle_faults(scenario, nominal.coordinates)
+    choices = scenario.blocks.choices()
+    own = section_parts(scenario, given, grip=nominal.grip)  # parts of its own sections
+    plain = BlockSetup(
+        name="", scenario=scenario, nominal=nominal, settings={}, split=split or StateSplit()
+    )
+    blocks, placed, others = dict[str, System](), dict[str, PlacedPart](), dict[str, PlacedPart]()
+    for name in _in_order((*own, *choices, *given)):
+        choice = choices.get(name, Block())
+        setup = dataclasses.replace(plain, name=name.rpartition(".")[2], settings=choice.settings)
+        made, fill = _made(name, own.get(name), setup, given.get(name), choice.system)
+        if made is not None:
+            blocks[name] = made
+        if isinstance(fill, Part) and name not in own:
+            others[name] = place_part(fill, setup, made, name=name, block=name)
+    for name, part in own.items():
+        block = name if name in blocks else kind_of(name)
+        setup = dataclasses.replace(plain, name=name)
+        found = place_part(part, setup, blocks.get(block), name=name, block=block)
+        if found.signals:
+            placed[name] = found
+    return blocks, placed | others
 
 
-class _Making:
-    """The blocks of a loop, made one after another. Arguments and errors: see ``make_blocks``."""
+def _made(
+    name: str, own: Part | None, setup: BlockSetup, given: Any, system: str
+) -> tuple[Any, Any]:
+    """Return the system of a block, checked, and what fills the block.
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        nominal: PlantModel,
-        given: Mapping[str, Factory],
-        split: StateSplit,
-    ) -> None:
-        _check_names(given)
-        self._nominal, self._given = nominal, given
-        self._scenario = scenario = settle_faults(scenario, nominal.coordinates)
-        self._choices = scenario.blocks.choices()
-        self._own = section_parts(scenario, given, grip=nominal.grip)  # parts of its own sections
-        self._setup = BlockSetup(
-            name="", scenario=scenario, nominal=nominal, settings={}, split=split
-        )
-        self.blocks: dict[str, System] = {}
-        self._placed: dict[str, PlacedPart] = {}
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The blocks, in the order in which they are made."""
-        return _in_order((*self._own, *self._choices, *self._given))
-
-    def make_controller(self) -> None:
-        """Make the controller."""
-        factory = self._given.get("controller")
-        named = getattr(factory, "__name__", self._scenario.controller)
-        made: Any = make_controller(self._scenario, self._nominal, factory)
-        self._add("controller", made, place=f"controller '{named}'")
-        if isinstance(part := getattr(made, "part", None), Part):  # of a system of its own
-            self._placed["controller"] = place_part(
-                part, self._setup, made, name="controller", block="controller"
-            )
-
-    def make_block(self, name: str) -> None:
-        """Another one, unless it is an ideal actuator."""
-        factory, choice = self._given.get(name), self._choices.get(name, Block())
-        place = f"blocks.{name} '{getattr(factory, '__name__', choice.system)}'"
-        alone = name.rpartition(".")[2]
-        setup = dataclasses.replace(self._setup, name=alone, settings=choice.settings)
-        fill = self._own.get(name) or factory_of(name, self._scenario, factory)
-        made = _make_block(fill, setup, kind=kind_of(name), place=place)
-        if made is None and name not in self._choices and name not in self._given:
-            return
-        self._add(name, made, place=place)
-        made.set_name(alone if alone not in _TAKEN else name.replace(".", "_"))
-        if isinstance(fill, Part) and name not in self._own:
-            self._placed[name] = place_part(fill, setup, made, name=name, block=name)
-
-    def parts(self) -> dict[str, PlacedPart]:
-        """Return the parts: those of the scenario's own sections that have signals, and blocks'."""
-        found = dict[str, PlacedPart]()
-        for name, part in self._own.items():
-            block, setup = name if name in self.blocks else kind_of(name), self._setup
-            placed = place_part(
-                part,
-                dataclasses.replace(setup, name=name),
-                self.blocks.get(block),
-                name=name,
-                block=block,
-            )
-            if placed.signals:
-                found[name] = placed
-        return found | self._placed
-
-    def _add(self, name: str, made: System, *, place: str) -> None:
-        check_ports(made, kind_of(name), self._nominal.coordinates, place=place)
-        self.blocks[name] = made
+    Args: the block; the part of the scenario's section; the setup; a factory in place of the
+    scenario's choice; that choice. There is no system of ideal actuators.
+    """
+    scenario, kind = setup.scenario, kind_of(name)
+    if name == "controller":
+        place = f"controller '{getattr(given, '__name__', scenario.controller)}'"
+        made: Any = make_controller(scenario, setup.nominal, given)
+        fill: Any = getattr(made, "part", None)  # of a system of its own
+        check_ports(made, kind, setup.coordinates, place=place)
+        return made, fill
+    place = f"blocks.{name} '{getattr(given, '__name__', system)}'"
+    fill = own or factory_of(name, scenario, given)
+    made = _as_system(call_factory(fill, setup, place=place), setup, kind=kind, place=place)
+    if made is not None or own is None:
+        check_ports(made, kind, setup.coordinates, place=place)
+        made.set_name(setup.name if setup.name not in _TAKEN else name.replace(".", "_"))
+    return made, fill
 
 
-def _make_block(factory: Factory, setup: BlockSetup, *, kind: str, place: str) -> Any:
-    """Return the system of a block; None of an ideal actuator."""
-    made = call_factory(factory, setup, place=place)
+def _as_system(made: Any, setup: BlockSetup, *, kind: str, place: str) -> Any:
+    """Return the system around a block as functions; any other one unchanged."""
     if isinstance(made, Continuous) and kind == "forces":
         return InstantSystem(made, name=setup.name)
     if not isinstance(made, Sampled):
@@ -340,18 +307,16 @@ def factory_of(name: str, scenario: Scenario, given: Any = None) -> Factory:
     if not issubclass(kind, Part):
         found: Factory = given
         return found
-    try:
+
+    def valid() -> Part:
+        part: Part = given
         if given is kind:
             settings = {} if choice is None else choice.settings
-            given = build_settings(kind, settings, f"{key}.settings")
-        require_valid(given, f"{key}.settings", scenario)
-    except BaseException as error:  # a user's class may raise anything
-        if passes(error):
-            raise
-        raise BlockError(
-            f"{key} '{kind.__name__}' cannot be built: {type(error).__name__}: {one_line(error)}"
-        ) from error
-    part: Part = given
+            part = build_settings(kind, settings, f"{key}.settings")
+        require_valid(part, f"{key}.settings", scenario)
+        return part
+
+    part: Part = calling(f"{key} '{kind.__name__}'", valid, did="cannot be built")
     return part
 
 

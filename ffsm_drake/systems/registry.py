@@ -8,7 +8,6 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,15 @@ from ffsm_drake.common.errors import (
     did_you_mean,
     one_line,
 )
-from ffsm_drake.common.guard import is_installed, passes, where
-from ffsm_drake.common.plugins import CONTROLLER_FILES, is_deleted, is_ours, load, optional
+from ffsm_drake.common.guard import calling, failure, is_installed, passes
+from ffsm_drake.common.plugins import (
+    CONTROLLER_FILES,
+    is_deleted,
+    is_ours,
+    load,
+    offered,
+    optional,
+)
 from ffsm_drake.scenario import HELD, Grip, Scenario, kind_of, policy_parts
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.setup import BlockSetup
@@ -87,13 +93,12 @@ ENTRY_POINT_GROUPS = {
 }
 
 
-@functools.cache  # searches the installed packages once per process
+@functools.cache  # looks for the folders of the plug-ins
 def block_names(block: str) -> tuple[str, ...]:
     """Return names of the systems that can fill a block: shipped, then installed."""
-    own = SHIPPED.get(block, {})
-    offering = entry_points(group=ENTRY_POINT_GROUPS[block])
-    offered = {each.name for each in offering if not is_deleted(each)} - {*own}
-    return (*own, *sorted(offered & _of_plugins(block)), *sorted(offered - _of_plugins(block)))
+    own, offering = SHIPPED.get(block, {}), offered(ENTRY_POINT_GROUPS[block])
+    others = [name for name in offering if name not in own and not is_deleted(offering[name])]
+    return (*own, *sorted(others, key=lambda name: not is_ours(offering[name])))
 
 
 def shipped_names(block: str) -> tuple[str, ...]:
@@ -103,13 +108,8 @@ def shipped_names(block: str) -> tuple[str, ...]:
 
 def is_shipped(block: str, name: str) -> bool:
     """True if a name stands for a system of this package."""
-    return name in SHIPPED.get(block, {}) or name in _of_plugins(block)
-
-
-@functools.cache
-def _of_plugins(block: str) -> frozenset[str]:
-    offering = entry_points(group=ENTRY_POINT_GROUPS[block])
-    return frozenset(each.name for each in offering if is_ours(each))
+    found = offered(ENTRY_POINT_GROUPS[block]).get(name)
+    return name in SHIPPED.get(block, {}) or (found is not None and is_ours(found))
 
 
 def section_parts(
@@ -184,14 +184,14 @@ def find_factory(
         elif ":" in address:
             factory = _load(address, place, python_path)
         else:
-            found = entry_points(group=ENTRY_POINT_GROUPS[block], name=name)
-            if not found:
+            offering = offered(ENTRY_POINT_GROUPS[block])
+            if name not in offering:
                 names = block_names(block)
                 choice = f", or choose one of {choices(name, names)}" if names else ""
                 raise ScenarioError(
                     key or block, f"'{name}' is unknown; give module:attribute{choice}"
                 )
-            factory = next(iter(found)).load()
+            factory = offering[name].load()
     except FfsmError:
         raise
     except ModuleNotFoundError as error:
@@ -209,9 +209,7 @@ def find_factory(
     except BaseException as error:  # a user's module may raise anything on import
         if passes(error):
             raise
-        raise BlockError(
-            f"{place} cannot be loaded: {type(error).__name__}: {one_line(error)}"
-        ) from error
+        raise failure(error, place, did="cannot be loaded") from error
     if not callable(factory):
         raise BlockError(f"{place} must be a class or function, not {type(factory).__name__}")
     checked: Factory = factory
@@ -236,14 +234,9 @@ def call_factory(factory: Factory, setup: BlockSetup, *, place: str) -> Any:
     """Return the result of a factory for a setup. Raises BlockError naming ``place`` if it
     fails.
     """
-    try:
-        return getattr(factory, "from_setup", factory)(setup)
-    except BaseException as error:
-        if passes(error):
-            raise
-        raise BlockError(
-            f"{place} cannot be built: {type(error).__name__}: {one_line(error)}{where(error)}"
-        ) from error
+    return calling(
+        place, lambda: getattr(factory, "from_setup", factory)(setup), did="cannot be built"
+    )
 
 
 def _policy_file(name: str, file: str, place: str, python_path: Sequence[str]) -> Path:

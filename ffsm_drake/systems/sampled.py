@@ -21,9 +21,9 @@ from pydrake.systems.framework import (
 from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.errors import BlockError, choices
-from ffsm_drake.common.guard import calling, failure, is_user_supplied, passes
+from ffsm_drake.common.guard import calling, is_user_supplied
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.common.returned import MOST_MEMORY, mapping, numbers
+from ffsm_drake.common.returned import arrays, mapping, numbers
 from ffsm_drake.scenario import MassProperties
 
 Arrays = Mapping[str, np.ndarray]  # by name
@@ -148,18 +148,13 @@ def memory_of(block: Sampled, state: np.ndarray | None = None, *, place: str) ->
     if not is_user_supplied(type(block)):
         return {name: np.asarray(value, dtype=float) for name, value in found.items()}
     at = f"{place}: start"
-    own = {
-        name: numbers(value, calling(at, np.shape, value), f"{at} returned '{name}'", kinds="fiub")
-        for name, value in mapping(found, at).items()
-    }
-    if sum(value.size for value in own.values()) > MOST_MEMORY:
-        raise BlockError(f"{at} returned more than {MOST_MEMORY} numbers")
+    given = mapping(found, at)
+    shapes = {name: calling(at, np.shape, value) for name, value in given.items()}
+    own = arrays(given, at, shapes=shapes)
     if state is None:
         return own
     usual = memory_of(block, place=place)
-    if {name: value.shape for name, value in own.items()} != {
-        name: value.shape for name, value in usual.items()
-    }:
+    if {name: value.shape for name, value in usual.items()} != shapes:
         raise BlockError(f"{at} must return the same names and shapes for a state as for None")
     return {name: own[name] for name in usual}
 
@@ -407,12 +402,7 @@ class _Stepping(BlockSystem):
             return [*(outputs[name] for name in self._outputs), *map(memory.get, self._kept)]
         for each in (*inputs.values(), *memory.values()):
             each.setflags(write=False)
-        try:
-            returned = block.step(inputs, memory, now)
-        except BaseException as error:
-            if passes(error):
-                raise
-            raise failure(error, self._place, now.time) from error
+        returned = calling(self._place, block.step, inputs, memory, now, time=now.time)
         return _checked(returned, self._sizes, len(self._outputs), self._place, now.time)
 
     def _update(self, context: Context, values: DiscreteValues) -> None:
@@ -444,13 +434,10 @@ def _checked(
     at = f"{place}: step at t = {time:.2f} s"
     if not (isinstance(returned, tuple) and len(returned) == 2):
         raise BlockError(f"{at} must return (outputs, memory), two mappings from names to vectors")
-    made = []
-    for given, wanted, what in (
-        (returned[0], sizes[:count], "outputs"), (returned[1], sizes[count:], "memory"),
-    ):  # fmt: skip
-        found = mapping(given, f"{at}: its {what}")
-        if set(found) != {name for name, _ in wanted}:
-            names = ", ".join(name for name, _ in wanted) or "none"
-            raise BlockError(f"{at} returned {what} {', '.join(found) or 'none'}, not {names}")
-        made += [numbers(found[name], (size,), f"{at} returned '{name}'") for name, size in wanted]
+    made = list[np.ndarray]()
+    for given, wanted, of in zip(
+        returned, (sizes[:count], sizes[count:]), ("outputs", "memory"), strict=True
+    ):
+        found = arrays(given, at, of=of, shapes={name: (size,) for name, size in wanted})
+        made += [found[name] for name, _ in wanted]
     return made

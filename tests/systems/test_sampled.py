@@ -42,10 +42,10 @@ ODD = {
     "an error": ({"step": raising}, "failed at t = 0.00 s: ValueError: no"),
     "a change of its inputs": ({"step": writing}, "read-only"),
     "no pair": ({"step": lambda *_: {}}, r"must return \(outputs, memory\)"),
-    "no outputs": ({"step": lambda *_: ({}, {})}, "returned outputs none, not estimated_state"),
+    "no outputs": ({"step": lambda *_: ({}, {})}, "must return outputs estimated_state, not none"),
     "other memory": (
         {"step": lambda s, i, m, n: ({"estimated_state": i["state"]}, {})},
-        "returned memory none, not before",
+        "must return memory before, not none",
     ),
     "another shape": (
         {"step": lambda s, i, m, n: ({"estimated_state": i["state"][1:]}, m)},

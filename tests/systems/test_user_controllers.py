@@ -242,7 +242,7 @@ class OddField(DividesByZero):
         (Ports, "needs an output port 'generalized_force' of size 11"),
         (SmallPort, "input port 'estimated_state' must have size 23, not 6"),
         (OddPort, "unknown input port 'state'; known: estimated_state"),
-        (Forgets, "step returned no 'memory'"),
+        (Forgets, "step must return memory memory, not none"),
         (WritesIntoState, "destination is read-only"),
         (WithoutAStep, r"must define step\(sample, state\)"),
         (OddField, r"field 'speed' must be a gain\(...\), model, sample_time or have a default"),

@@ -12,11 +12,10 @@ import numpy as np
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.guard import calling, failure, is_user_supplied, passes
-from ffsm_drake.common.returned import MOST_MEMORY, described, mapping, numbers
+from ffsm_drake.common.returned import arrays, described, mapping, numbers
 from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State
 
 OWN_STATE = ("generalized_force", "has_previous")  # names that a law's memory cannot have
-_MEMORY = "fiub"  # kinds of arrays that a memory may hold
 _REAL = np.dtype(float)
 Step = Callable[[Sample, State, Callable[[], float]], tuple[np.ndarray, State]]
 
@@ -30,48 +29,11 @@ def has_user_code(law: Any) -> bool:
 
 def memory_of(law: ControlLaw, place: str) -> dict[str, np.ndarray]:
     """Return the initial state of a law, checked. Raises BlockError."""
-    return checked_memory(calling(place, lambda: law.initial_state()), f"{place}: initial_state")
-
-
-def checked_memory(
-    returned: Any, what: str, shapes: Mapping[str, tuple[int, ...]] | None = None
-) -> dict[str, np.ndarray]:
-    """Return a law's memory by name, as vectors of floats.
-
-    Args:
-      returned: the law's result.
-      what: the method, for errors.
-      shapes: the memory's shapes by name; None: those of ``returned``.
-
-    Raises:
-      BlockError: the result is not such a mapping, or lacks a name of ``shapes``.
-    """
-    found = mapping(returned, what)
-    if shapes is None:
-        shared = sorted({*OWN_STATE} & {*found})
-        if shared:
-            raise BlockError(f"{what} names '{shared[0]}', which is the controller's; rename it")
-    else:
-        _check_names(found, shapes, what)
-    memory = {}
-    for name, value in found.items():
-        shape = None if shapes is None else shapes[name]
-        memory[name] = numbers(value, shape, f"{what} returned '{name}'", kinds=_MEMORY)
-    if (total := sum(value.size for value in memory.values())) > MOST_MEMORY:
-        raise BlockError(f"{what} has {total} numbers; at most {MOST_MEMORY} can be kept")
+    at = f"{place}: initial_state"
+    memory = arrays(calling(place, lambda: law.initial_state()), at)
+    if shared := sorted({*OWN_STATE} & {*memory}):
+        raise BlockError(f"{at} names '{shared[0]}', which is the controller's; rename it")
     return memory
-
-
-def _check_names(found: Mapping[str, Any], known: Mapping[str, Any], what: str) -> None:
-    for name in found:
-        if name not in known:
-            raise BlockError(
-                f"{what} returned '{name}', which initial_state does not name; its memory is "
-                f"{', '.join(known) or 'empty'}"
-            )
-    for name in known:
-        if name not in found:
-            raise BlockError(f"{what} returned no '{name}'; it must return all its memory")
 
 
 def attribute_of(law: ControlLaw, name: str, default: Any) -> Any:
@@ -223,4 +185,4 @@ def _converted(
         )
     force = numbers(returned[0], shape, f"{what} returned 'generalized_force'")
     shapes = {name: np.shape(value) for name, value in state.items()}
-    return force, checked_memory(returned[1], what, shapes)
+    return force, arrays(returned[1], what, shapes=shapes)

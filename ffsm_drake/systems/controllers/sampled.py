@@ -7,14 +7,9 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.guard import calling
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.common.returned import mapping
+from ffsm_drake.common.returned import arrays, mapping
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.controllers.checked import (
-    check_law,
-    checked_memory,
-    checked_step,
-    memory_of,
-)
+from ffsm_drake.systems.controllers.checked import check_law, checked_step, memory_of
 from ffsm_drake.systems.controllers.law import ControlLaw, State
 from ffsm_drake.systems.controllers.law_block import REQUIRED, LawBlock
 from ffsm_drake.systems.part import UNIT, Signal
@@ -171,7 +166,7 @@ class SampledController(LeafSystem):
             if name in memory and memory[name].shape == first.shape:
                 alike[name] = memory[name]
         returned = calling(self._place, self.law.resume, alike, before, reference)
-        return checked_memory(returned, f"{self._place}: resume", self._shapes)
+        return arrays(returned, f"{self._place}: resume", shapes=self._shapes)
 
     def memory_groups(self) -> Mapping[str, int]:
         """Return the discrete group of each piece of the law's memory, by name."""
