@@ -51,11 +51,17 @@ def written_whole(path: Path) -> Iterator[Path]:
 
 def stamp(path: Path) -> tuple[int, ...] | None:
     """Return the file status that changes with every rewrite; None: the file does not exist."""
+    status = _status(path)
+    return None if status is None else status[:3]
+
+
+def _status(path: Path) -> tuple[int, ...] | None:
+    """``stamp``, and what changes even if a copy with the times of the old file gets its number."""
     try:
         info = path.stat()
     except (OSError, ValueError):
         return None
-    return info.st_ino, info.st_mtime_ns, info.st_size
+    return info.st_ino, info.st_mtime_ns, info.st_size, info.st_ctime_ns
 
 
 @contextmanager
@@ -149,18 +155,8 @@ def _read_unchanged(
 
 
 def _states(paths: Sequence[Path]) -> list[tuple[int, ...] | None]:
-    """Return what changes when files are exchanged, even if copies with the times of the old ones
-    get their numbers.
-    """
-    found: list[tuple[int, ...] | None] = []
-    for path in paths:
-        try:
-            info = path.stat()
-        except (OSError, ValueError):
-            found.append(None)
-        else:
-            found.append((info.st_ino, info.st_mtime_ns, info.st_ctime_ns, info.st_size))
-    return found
+    """Return what changes when files are exchanged."""
+    return list(map(_status, paths))
 
 
 def _partial() -> str:

@@ -1,4 +1,4 @@
-"""Products of matrices and vectors of several spacecraft, with the bits of a single one."""
+"""Products of matrices and vectors, of one or of many at once, with the bits of a single one."""
 
 import math
 
@@ -10,6 +10,17 @@ from ffsm_drake.common.choice import is_known
 def product(matrix: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Products (..., m, k) of matrices (..., m, n) and (..., n, k), however they lie in memory."""
     return np.matmul(np.asanyarray(matrix, order="C"), np.asanyarray(other, order="C"))
+
+
+def condensed(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """M_aa - M_au M_uu^-1 M_ua (..., na, na) of symmetric matrices M, with the indices ``kept`` (a)
+    and the ``others`` (u).
+    """
+    rows = matrix[..., others, :]
+    across = rows[..., kept]
+    following = np.linalg.solve(rows[..., others], across)
+    found: np.ndarray = matrix[..., kept[:, None], kept] - product(across.mT, following)
+    return found
 
 
 def applied(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:

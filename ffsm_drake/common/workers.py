@@ -1,7 +1,7 @@
 """The one process pool: tasks on any ``concurrent.futures`` executor, with lost workers replaced
 and tasks repeated.
 
-``map_tasks`` is for a list of tasks on this machine; ``run_tasks`` takes tasks one by one, also on
+``map_tasks`` is for a list of tasks on this machine; ``Runs`` takes tasks one by one, also on
 a Dask cluster.
 
 A dead process breaks its local pool: every task in flight is lost, and the culprit is not known. So
@@ -324,35 +324,6 @@ def stop_on_signals() -> Iterator[Stop]:
         yield stop
 
 
-def run_tasks(
-    function: Callable[..., Result],
-    tasks: Iterable[Task],
-    *,
-    arguments: Callable[[Task], tuple[Any, ...]],
-    workers: Workers,
-    stop: Stop,
-    should_renew: Callable[[Result], bool] = lambda result: False,
-    split: Callable[[Task], Sequence[Task]] = lambda task: (task,),
-) -> Generator[tuple[Task, Result | WorkerLost], None, None]:
-    """Run ``function(*arguments(task))`` for every task; yield (task, result) as they come, in any
-    order.
-
-    No task is taken from ``tasks`` before it can be submitted. When ``stop`` is set, no further
-    task is started; those that end within _LINGER are yielded, then their workers are killed.
-
-    Args:
-      function: importable by its name in the workers; only its FfsmErrors are passed on unchanged.
-      should_renew: predicate on a result: True if its process should be replaced.
-      split: the parts of a task; they replace a task after the death of its worker, when run alone.
-
-    Raises:
-      FfsmError: what ``function`` raised.
-      WorkersError: the workers do not work: every task is lost, or a task cannot be given to them.
-    """
-    runner = _Runner(function, iter(tasks), arguments, workers, stop, should_renew, split)
-    yield from runner.run()
-
-
 def map_tasks(
     function: Callable[[Task], Result],
     tasks: Sequence[Task],
@@ -380,9 +351,7 @@ def map_tasks(
         stop_on_signals() as stop,
         local_workers(workers) if workers > 1 else contextlib.nullcontext(here) as crew,
     ):
-        done = run_tasks(
-            function, range(len(tasks)), arguments=lambda k: (tasks[k],), workers=crew, stop=stop
-        )
+        done = Runs(function, range(len(tasks)), lambda k: (tasks[k],), crew, stop).results()
         with contextlib.closing(done):
             for k, result in done:
                 if isinstance(result, WorkerLost):
@@ -405,14 +374,23 @@ class _Flight(Generic[Task]):
 
 
 @dataclasses.dataclass
-class _Runner(Generic[Task, Result]):
+class Runs(Generic[Task, Result]):
+    """The runs of ``function(*arguments(task))`` for every task, in any order.
+
+    No task is taken from ``tasks`` before it can be submitted. When ``stop`` is set, no further
+    task is started; those that end within _LINGER are yielded, then their workers are killed.
+    """
+
+    # importable by its name in the workers; only its FfsmErrors are passed on unchanged
     function: Callable[..., Result]
-    tasks: Iterator[Task]
+    tasks: Iterable[Task]
     arguments: Callable[[Task], tuple[Any, ...]]
     workers: Workers
     stop: Stop
-    should_renew: Callable[[Result], bool]
-    split: Callable[[Task], Sequence[Task]]
+    # predicate on a result: True if its process should be replaced
+    should_renew: Callable[[Result], bool] = lambda result: False
+    # the parts of a task; they replace a task after the death of its worker, when run alone
+    split: Callable[[Task], Sequence[Task]] = lambda task: (task,)
     flying: dict[Future[Result], _Flight[Task]] = dataclasses.field(default_factory=dict)
     # with their strikes
     suspects: deque[tuple[Task, int]] = dataclasses.field(default_factory=deque)
@@ -420,7 +398,15 @@ class _Runner(Generic[Task, Result]):
     lost: int = 0
     end: float = 0.0  # by ``time.monotonic``, s; 0: no stop yet
 
-    def run(self) -> Iterator[tuple[Task, Result | WorkerLost]]:
+    def results(self) -> Generator[tuple[Task, Result | WorkerLost], None, None]:
+        """Each task with its result, as they come.
+
+        Raises:
+          FfsmError: what ``function`` raised.
+          WorkersError: the workers do not work: every task is lost, or a task cannot be given to
+            them.
+        """
+        self._waiting = iter(self.tasks)
         self.executor = self.workers.open()
         try:
             while True:
@@ -462,7 +448,7 @@ class _Runner(Generic[Task, Result]):
         limit = self.workers.in_flight()
         while len(self.flying) < limit and not self.suspects:
             try:
-                task = next(self.tasks)
+                task = next(self._waiting)
             except StopIteration:
                 return
             self._submit(task, 0)

@@ -18,7 +18,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ffsm_drake.common.products import applied, product
+from ffsm_drake.common.products import applied, condensed, product
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
 
@@ -270,12 +270,9 @@ class ReducedModel(PlantModel):
 
     def _reduced(self, whole: np.ndarray) -> np.ndarray:
         driven, undriven = self._parts
-        rows, block = whole[..., undriven, :], (..., driven[:, None], driven)
-        across = rows[..., driven]
-        following = np.linalg.solve(rows[..., undriven], across)
         result = np.zeros_like(whole)
         result[..., undriven, undriven] = 1.0
-        result[block] = whole[block] - product(across.mT, following)
+        result[..., driven[:, None], driven] = condensed(whole, driven, undriven)
         return result
 
 

@@ -13,7 +13,7 @@ from pydrake.multibody.tree import Frame, JacobianWrtVariable
 from pydrake.systems.framework import Context
 
 from ffsm_drake.common.memo import each_once, memoized
-from ffsm_drake.common.products import applied
+from ffsm_drake.common.products import applied, condensed
 from ffsm_drake.scenario import HELD, Grip, MassProperties, Model, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, joints_of, tracking_errors
 from ffsm_drake.spacecraft.mass_properties import set_masses, set_payload
@@ -81,13 +81,14 @@ class PlantModel:
         return self.plant.CalcMassMatrix(self.context)
 
     def calc_apparent_mass_matrix(self, q: np.ndarray) -> np.ndarray:
-        """Return the apparent mass matrix (nv, nv) of the known coordinates at high frequency, at q
-        (nq).
+        """Return the apparent mass matrix (nv, nv) of the known coordinates at high frequency,
+        before the springs of the hidden ones act, at q (nq).
 
-        Without flexible parts it is H itself; see ``_apparent``. Deflections are zero.
+        Without flexible parts it is H itself. Deflections are zero.
         """
-        mass_matrix = PlantModel.calc_mass_matrix(self, self.split.whole_positions(q))
-        return _apparent(mass_matrix, self.split) if self.split.names else mass_matrix
+        split, mass_matrix = self.split, PlantModel.calc_mass_matrix
+        whole = mass_matrix(self, split.whole_positions(q))
+        return condensed(whole, split.known, split.hidden) if split.names else whole
 
     def modes(self, q: np.ndarray) -> list[Any]:
         """Return modes of vibration (``VibrationMode``) at rest in configuration q (nq), slowest
@@ -187,8 +188,8 @@ class PlantModel:
     def calc_frame_motion(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, frame: Frame | str
     ) -> np.ndarray:
-        """Return a frame's pose, twist, acceleration (..., 19) for q, v, dv/dt: the rows of
-        ``FramePath``.
+        """Return a frame's pose, twist, acceleration (..., 19) for q, v, dv/dt, as the rows of
+        ``make_frame_path``.
 
         [``calc_frame_pose``; w_WF; v_WF; alpha_WF; a_WF], world axes. Args and errors as
         ``calc_jacobian``.
@@ -332,15 +333,3 @@ class Carrier:
 def _set_flexible(plant: MultibodyPlant, context: Context, model: Model) -> None:
     if model.flexible:
         flexible_parts().set_flexible(plant, context, model)
-
-
-def _apparent(mass_matrix: np.ndarray, split: StateSplit) -> np.ndarray:
-    """Return the apparent mass matrix of the known coordinates (a) at high frequency, before the
-    springs of hidden ones (u) act: H_aa - H_au H_uu^-1 H_ua, from H (..., n, n).
-    """
-    known, hidden = split.known, split.hidden
-    known_rows, hidden_rows = mass_matrix[..., known, :], mass_matrix[..., hidden, :]
-    across = hidden_rows[..., known]
-    return known_rows[..., known] - np.swapaxes(across, -1, -2) @ np.linalg.solve(
-        hidden_rows[..., hidden], across
-    )

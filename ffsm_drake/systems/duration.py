@@ -1,5 +1,6 @@
 """The shortest duration in which a planned motion keeps the limits, with the nominal payload."""
 
+import bisect
 import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -68,10 +69,9 @@ def shortest_duration(
             "reference.reserve",
             limit=name,
         )
-    while samples - before > 1:  # between the last too short and the first sufficient one
-        half = (before + samples) // 2
-        before, samples = (before, half) if worst(half * sample_time)[0] <= 1.0 else (half, samples)
-    return samples * sample_time
+    between = range(before + 1, samples)  # the last too short and the first sufficient one
+    found = bisect.bisect(between, 0, key=lambda n: worst(n * sample_time)[0] <= 1.0)
+    return (before + 1 + found) * sample_time
 
 
 def _worst_of(

@@ -17,8 +17,8 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 from pydrake.systems.framework import System
 
-from ffsm_drake.common.errors import BlockError, one_line
-from ffsm_drake.common.guard import is_user_supplied, passes
+from ffsm_drake.common.errors import BlockError
+from ffsm_drake.common.guard import calling, is_user_supplied
 from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.scenario import Grip, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
@@ -268,29 +268,6 @@ class Signals(Protocol):
         """Return the values of a signal."""
 
 
-class MomentumStorage(Protocol):
-    """Units that hold angular momentum in the base; vectors (3) in the base's axes."""
-
-    names: tuple[str, ...]
-
-    @property
-    def initial(self) -> np.ndarray:
-        """Initial angular momentum (3) of the units, N m s."""
-
-    @property
-    def least_capacity(self) -> float:
-        """``capacity`` along the worst direction, N m s."""
-
-    def capacity(self, direction: np.ndarray) -> float:
-        """Return the largest angular momentum along a direction (3), N m s."""
-
-    def filled(self, momentum: np.ndarray) -> np.ndarray:
-        """Return the share of its limit (..., n) to which a momentum (..., 3) fills each unit."""
-
-    def most(self, direction: np.ndarray) -> float:
-        """Return the largest available multiple of a torque (3), N m."""
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Advice:
     """Changes of a scenario against saturation."""
@@ -500,8 +477,10 @@ class Part:
         """The remedies for saturation of an actuator of the base."""
         yield from ()
 
-    def storage(self, scenario: Scenario) -> "MomentumStorage | None":
-        """Return the part's storage of angular momentum in the base; None if it has none."""
+    def storage(self, scenario: Scenario) -> Any:
+        """Return the part's storage of angular momentum in the base, as the wheels have it; None if
+        it has none.
+        """
         return None
 
     def limits(self, coordinates: Coordinates) -> Sequence[Limit]:
@@ -612,14 +591,7 @@ def figures_of(placed: PlacedPart, view: View) -> Iterator[Figure]:
     """
     for metric in placed.part.metrics():
         place = f"blocks.{placed.name} '{type(placed.part).__name__}': metric '{metric.key}'"
-        try:
-            value = _plain(metric.of(view))
-        except BaseException as error:  # a user's function may raise anything
-            if passes(error):
-                raise
-            raise BlockError(
-                f"{place} failed: {type(error).__name__}: {one_line(error)}"
-            ) from error
+        value = calling(place, lambda metric=metric: _plain(metric.of(view)))
         if isinstance(value, Mapping) and metric.column_name:
             raise BlockError(f'{place} gives values by name, which no column holds: say column=""')
         shared = {each.name: getattr(metric, each.name) for each in dataclasses.fields(_Named)}

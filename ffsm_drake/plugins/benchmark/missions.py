@@ -27,7 +27,7 @@ from ffsm_drake.common.errors import (
 from ffsm_drake.common.files import check_regular, write_text
 from ffsm_drake.common.shapes import misfit
 from ffsm_drake.common.so3 import in_body_axes
-from ffsm_drake.common.workers import Stop, WorkerLost, Workers, run_tasks
+from ffsm_drake.common.workers import Runs, Stop, WorkerLost, Workers
 from ffsm_drake.plugins.actuators.thrusters import STANDARD_GRAVITY, ThrusterSet
 from ffsm_drake.plugins.benchmark.law_figures import FIGURES, law_figures
 from ffsm_drake.plugins.benchmark.least_time import least_times
@@ -289,13 +289,13 @@ def _find_figures(
     def arguments(name: str) -> tuple[str]:
         return (scenario_to_yaml(override_scenario(mission.scenario, [f"controller={name}"])),)
 
-    found = run_tasks(
+    found = Runs(
         law_figures,
         missing,
         arguments=arguments,
         workers=workers,
         stop=Stop() if stop is None else stop,
-    )
+    ).results()
     done = 0
     with contextlib.closing(found):
         for name, figures in found:

@@ -19,7 +19,7 @@ from ffsm_drake.common.interrupts import go_on_by
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.steps import step
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
-from ffsm_drake.common.workers import Stop, WorkerLost, Workers, local_workers, run_tasks
+from ffsm_drake.common.workers import Runs, Stop, WorkerLost, Workers, local_workers
 from ffsm_drake.plugins.campaign.cases import Case, make_cases, scenario_of
 from ffsm_drake.plugins.campaign.evaluate import (
     CIRCUMSTANCES,
@@ -269,7 +269,7 @@ def _drive(
     samples = store.spec.base_scenario.num_control_periods
     usual = usual_batch(find_engine(store.spec.engine), samples=samples)
     sizes = BatchSizes(max(1, min(batch or usual, share)))
-    results = run_tasks(
+    results = Runs(
         evaluate,
         batches(store.pending(), size=sizes),
         arguments=lambda some: (campaign, some),
@@ -277,7 +277,7 @@ def _drive(
         stop=Stop() if stop is None else stop,  # a stop that is not set counts as false
         should_renew=lambda rows: any(row["rss_mib"] > MEMORY_LIMIT for row in rows),
         split=lambda some: some.parts,
-    )
+    ).results()
     try:
         runs = counted(total, "run")
         with contextlib.closing(results), step(lambda: f"{before + tally['session']} of {runs}"):

@@ -30,7 +30,6 @@ from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, tightest
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.limits import joint_limits, limits_of
-from ffsm_drake.systems.part import MomentumStorage
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import section_parts
 
@@ -180,7 +179,7 @@ def _along(
     return times, positions, (free_floating(model, positions).spin_map @ v[..., None])[..., 0]
 
 
-def _storage(scenario: Scenario) -> tuple[str, MomentumStorage | None]:
+def _storage(scenario: Scenario) -> tuple[str, Any]:
     """The actuator that stores angular momentum, and the name of its section."""
     for name, part in section_parts(scenario).items():
         if (storage := part.storage(scenario)) is not None:
@@ -189,7 +188,7 @@ def _storage(scenario: Scenario) -> tuple[str, MomentumStorage | None]:
 
 
 def _storage_budget(
-    name: str, storage: MomentumStorage, q: np.ndarray, stored: np.ndarray, angular: np.ndarray
+    name: str, storage: Any, q: np.ndarray, stored: np.ndarray, angular: np.ndarray
 ) -> StorageBudget:
     """Args: section; storage; momentum (n, 3) that it holds in configurations (n, nq), and finally
     (3).
