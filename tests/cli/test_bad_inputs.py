@@ -742,25 +742,6 @@ def test_several_scenarios_one_line_each(tmp_path, monkeypatch):
 # A disk that fills up.
 
 
-def test_full_disk_keeps_the_old_record_whole(tmp_path, good_run, run, monkeypatch):
-    """The disk fills up at the last of the three files: all three stay what they were."""
-    shutil.copytree(good_run, tmp_path / "run")
-    before = {path: path.read_bytes() for path in (tmp_path / "run").iterdir()}
-    write_text = Path.write_text
-
-    def full(path, text, **settings):
-        if "manifest" in path.name:
-            path.touch()
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return write_text(path, text, **settings)
-
-    monkeypatch.setattr(Path, "write_text", full)
-    record = run("postcapture", "duration=0.1")
-    with pytest.raises(RecordError, match=r"run: cannot be written: .*No space left on device$"):
-        record.save(tmp_path / "run")
-    assert {path: path.read_bytes() for path in (tmp_path / "run").iterdir()} == before
-
-
 def test_full_disk_under_the_netcdf_library(tmp_path, monkeypatch):
     """Files may not grow beyond a limit, as on a full disk: the netCDF library meets it in its own
     code.

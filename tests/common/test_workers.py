@@ -14,28 +14,19 @@ from children import PIPE, STDOUT, child
 
 from ffsm_drake.common.errors import ScenarioError, WorkersError
 from ffsm_drake.common.workers import (
+    Runs,
     Stop,
     WorkerLost,
     Workers,
     cluster_workers,
     local_workers,
     map_tasks,
-    run_tasks,
     stop_on_signals,
 )
 
 
 def run(function, tasks, workers, **settings):
-    return list(
-        run_tasks(
-            function,
-            tasks,
-            arguments=lambda task: (task,),
-            workers=workers,
-            stop=Stop(),
-            **settings,
-        )
-    )
+    return list(Runs(function, tasks, lambda task: (task,), workers, Stop(), **settings).results())
 
 
 class Fragile(Executor):

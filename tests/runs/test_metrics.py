@@ -53,29 +53,6 @@ def test_energy_of_the_disturbances(scales, expected):
     assert energy == pytest.approx(expected, rel=2e-4)
 
 
-def test_disturbance_is_table_1():
-    loop = make_closed_loop(load_scenario("paper"))
-    disturbance = loop.blocks["forces.disturbance"]
-    context = disturbance.CreateDefaultContext()
-    t = 3.7
-    context.SetTime(t)
-    value = dict(
-        zip(
-            loop.coordinates.names,
-            loop.blocks["forces.disturbance"].GetOutputPort("generalized_force").Eval(context),
-            strict=True,
-        )
-    )
-    for part in ("base_position", "base_rotation"):
-        expected = (0.4 * np.sin(0.3 * t), 0.3 * np.cos(0.1 * t), 0.2 * np.sin(0.3 * t))
-        assert [value[f"{part}_{axis}"] for axis in "xyz"] == pytest.approx(expected)
-    expected = (
-        0.1 * np.sin(1.2 * t), 0.08 * np.sin(0.1 * t) + 0.1, -0.1 * np.sin(0.6 * t),
-        0.09 * np.sin(0.8 * t + np.pi / 4) - 0.1, 0.1 * np.cos(t) + 0.1,
-    )  # fmt: skip
-    assert [value[f"joint_{i}"] for i in range(1, 6)] == pytest.approx(expected)
-
-
 def test_metrics_of_a_run(run):
     record = run("postcapture", "duration=5")
     data, metrics = record.dataset, record.metrics
