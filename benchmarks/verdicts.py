@@ -36,7 +36,7 @@ from ffsm_drake import RunLog, Scenario, load_scenario
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.files import write_text
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
-from ffsm_drake.common.workers import WorkerLost, local_workers, run_tasks, stop_on_signals
+from ffsm_drake.common.workers import Runs, WorkerLost, local_workers, stop_on_signals
 from ffsm_drake.plugins.design.remarks import plan_remarks
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.runs.dataset import make_table
@@ -283,13 +283,8 @@ def evaluate_all(
     result.
     """
     with stop_on_signals() as stop, local_workers(workers) as crew:
-        for (kind, number), result in run_tasks(
-            evaluate,
-            tasks,
-            arguments=lambda task: (*task, seed, seconds),
-            workers=crew,
-            stop=stop,
-        ):
+        runs = Runs(evaluate, tasks, lambda task: (*task, seed, seconds), crew, stop)
+        for (kind, number), result in runs.results():
             if isinstance(result, WorkerLost):
                 result = make_result(end=End(kind="failed", time=0.0, message=_LOST))
             keep(kind, number, result)
