@@ -98,21 +98,6 @@ def test_run_goes_to_a_folder_of_the_scenarios_name(tmp_path, monkeypatch):
 
 
 @pytest.mark.long
-@pytest.mark.usefixtures("no_remedies")
-def test_a_diverging_run_exits_with_3_and_keeps_its_record(tmp_path):
-    unstable = [
-        "--set",
-        "controllers.tde_aismc.k_s_initial=150",
-        "--set",
-        "controllers.tde_aismc.k_s_max=null",
-    ]
-    result = ffsm("run", *unstable, "--no-report", "--out", tmp_path)
-    assert result.exit_code == 3
-    assert re.search(r"tde_aismc: diverged at t = [\d.]+ s: \S+ moves at", result.stderr)
-    assert RunRecord.load(tmp_path).outcome.status == "diverged"
-
-
-@pytest.mark.long
 def test_compare_overlays_and_ranks(tmp_path, monkeypatch):
     without_stability(monkeypatch)
     table = tmp_path / "laws.csv"
