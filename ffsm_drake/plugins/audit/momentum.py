@@ -239,7 +239,7 @@ def _fitted(
     near = [i for i in np.argsort(most)[:_TRIED] if most[i] < 2.0 * most.min()]
     fits = [least_squares(flat, starts[i], x_scale="jac", max_nfev=40) for i in near or [0]]
     best = min(fits, key=lambda fit: float(fit.cost))
-    columns = [*-best.jac.T.reshape(-1, *found.missed.shape)]
+    columns = [*-np.asarray(best.jac).T.reshape(-1, *found.missed.shape)]
     linear = sum(size * column for size, column in zip(best.x, columns, strict=True))
     return Mistake(columns=columns, bent=found.missed - missed(best.x) - linear, **mistake)
 
