@@ -85,37 +85,23 @@ def nominal():
 
 @functools.cache
 def model():
-    """A network as ONNX, its scenario, and metadata that fit."""
-    import onnx
+    """A network as ONNX, with metadata that fit, and their scale."""
+    from networks import linear_policy, metadata_of
 
-    from ffsm_drake.plugins.policy.policy import observation_names
-
-    scenario, coordinates = load_scenario("postcapture"), nominal().coordinates
-    names = observation_names(scenario, coordinates, tracks_frame=False)
-    shapes = {"seen": [1, len(names)], "action": [1, len(coordinates.names)]}
-    ports = [onnx.helper.make_tensor_value_info(name, 1, size) for name, size in shapes.items()]
-    weights = onnx.numpy_helper.from_array(
-        np.zeros((len(names), len(coordinates.names)), np.float32), "w"
-    )
-    graph = onnx.helper.make_graph(
-        [onnx.helper.make_node("MatMul", ["seen", "w"], ["action"])], "g", ports[:1], ports[1:],
-        [weights],
-    )  # fmt: skip
-    made = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)])
-    made.ir_version = 9
-    own = {"observation_names": json.dumps(names), "action_names": json.dumps(coordinates.names)}
-    return made, own, json.dumps([1.0] * len(coordinates.names))
+    coordinates = nominal().coordinates
+    metadata = metadata_of(load_scenario("postcapture"), coordinates)
+    size = len(coordinates.names)
+    return linear_policy(np.zeros((size, 4 * size + 1)), metadata), metadata
 
 
 def look_at_policy(given):
     """Data import nothing; a law of the user's own is the user's to name."""
     import onnx
 
-    made, own, scale = model()
+    made, own = model()
     made = type(made).FromString(made.SerializeToString())
-    metadata = {**own, **given["metadata"]}
-    metadata["scale"] = scale if metadata["scale"] == "good" else metadata["scale"]
-    onnx.helper.set_model_props(made, metadata)
+    scale = given["metadata"]["scale"].replace("good", own["scale"])
+    onnx.helper.set_model_props(made, own | given["metadata"] | {"scale": scale})
     folder = Path("policies").resolve()
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "sub").mkdir(parents=True)

@@ -17,7 +17,7 @@ from ffsm_drake.systems.registry import find_factory
 onnx = pytest.importorskip("onnx", reason="needs onnx, of the extra test")
 pytest.importorskip("onnxruntime", reason="needs onnxruntime, an extra")
 
-from ffsm_drake.plugins.policy.policy import observation_names  # noqa: E402
+from networks import linear_policy, metadata_of, network  # noqa: E402
 
 GAINS = {"base_rotation": (300.0, 600.0), "base_position": (300.0, 600.0), "joints": (30.0, 60.0)}
 SCALE = 1000.0
@@ -38,38 +38,8 @@ class Pd(ControlLaw):
 """
 
 
-def linear_policy(path, weights, metadata, size=None):
-    """An ONNX file: actions = weights times observations."""
-    actions, observations = weights.shape
-    shapes = {"observation": [1, size or observations], "action": [1, actions]}
-    ports = [
-        onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape)
-        for name, shape in shapes.items()
-    ]
-    given = np.zeros((size or observations, actions), np.float32)
-    given[:observations] = weights.T
-    graph = onnx.helper.make_graph(
-        [onnx.helper.make_node("MatMul", ["observation", "weights"], ["action"])],
-        "linear",
-        ports[:1],
-        ports[1:],
-        [onnx.numpy_helper.from_array(given, "weights")],
-    )
-    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)])
-    model.ir_version = 9
-    onnx.helper.set_model_props(model, metadata)
-    onnx.save(model, path)
-
-
-def metadata_of(scenario, coordinates, **changes):
-    names = observation_names(scenario, coordinates, tracks_frame=False)
-    return {
-        "observation_names": json.dumps(names),
-        "action_names": json.dumps(coordinates.names),
-        "scale": json.dumps([SCALE] * len(coordinates.names)),
-        "action": "force",
-        **changes,
-    }
+def save_policy(path, weights, metadata, size=None):
+    onnx.save(linear_policy(weights, metadata, size), path)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +51,7 @@ def pd(tmp_path_factory, coordinates):
     for i, group in enumerate(coordinates.group_of):
         weights[i, [i, len(names) + i]] = np.array(GAINS[group]) / SCALE
     scenario = load_scenario("postcapture")
-    linear_policy(folder / "pd.onnx", weights, metadata_of(scenario, coordinates))
+    save_policy(folder / "pd.onnx", weights, metadata_of(scenario, coordinates))
     return folder
 
 
@@ -137,11 +107,11 @@ def test_a_policy_stands_beside_the_scenario(name, pd, tmp_path, monkeypatch):
     monkeypatch.chdir(away)
     run = simulate(load_scenario(str(there / "s.yaml")), check_stability=False)
     run.save(there / "out" / "run")
-    assert load_spec(there / "c.yaml").controllers == (f"policy:{(there / name).resolve()}",)
+    assert load_spec(there / "c.yaml").controllers == [f"policy:{(there / name).resolve()}"]
     text = load_spec(there / "c.yaml").to_json(there)
     there.rename(tmp_path / "moved")
     moved = tmp_path / "moved"
-    assert spec_from_json(text, moved).controllers == (f"policy:{(moved / name).resolve()}",)
+    assert spec_from_json(text, moved).controllers == [f"policy:{(moved / name).resolve()}"]
     again = simulate(load_scenario(str(moved / "out" / "run")), check_stability=False)
     np.testing.assert_array_equal(again.dataset.position.values, run.dataset.position.values)
 
@@ -151,7 +121,7 @@ def test_the_law_of_a_file_is_registered_or_named_beside_it(pd, tmp_path, coordi
     scenario = load_scenario("postcapture", ["duration=0.2"])
     metadata = metadata_of(scenario, coordinates, action="residual", law="written_pd:Pd")
     size = len(coordinates.names)
-    linear_policy(tmp_path / "none.onnx", np.zeros((size, 4 * size + 1)), metadata)
+    save_policy(tmp_path / "none.onnx", np.zeros((size, 4 * size + 1)), metadata)
     where = [f"python_path=[{tmp_path}, {pd}]", "duration=0.2"]
     sys.modules.pop("written_pd", None)
     with pytest.raises(BlockError, match=r"law is one of tdc, .*policy:none.onnx@module:attribute"):
@@ -194,12 +164,20 @@ def test_a_residual_of_zero_is_the_law_that_it_changes(steps, tmp_path, coordina
         scenario, coordinates, action="residual", law="tdc", samples_per_step=str(steps)
     )
     size = len(coordinates.names)
-    linear_policy(tmp_path / "none.onnx", np.zeros((size, 4 * size + 1)), metadata)
+    save_policy(tmp_path / "none.onnx", np.zeros((size, 4 * size + 1)), metadata)
     own = scenario.replace(
         controller="policy:none.onnx", python_path=[str(tmp_path)], controllers=scenario.controllers
     )
     found, wanted = (simulate(each, check_stability=False) for each in (own, scenario))
     np.testing.assert_array_equal(found.dataset.position.values, wanted.dataset.position.values)
+
+
+def assert_refused(folder, name, line):
+    with pytest.raises(BlockError) as raised:
+        find_factory("controller", f"policy:{name}", python_path=[str(folder)])
+    assert line in str(raised.value)
+    assert "\n" not in str(raised.value)
+    assert "ONNXRuntimeError" not in str(raised.value)
 
 
 @pytest.mark.parametrize(
@@ -214,15 +192,11 @@ def test_a_residual_of_zero_is_the_law_that_it_changes(steps, tmp_path, coordina
 )
 def test_a_bad_file_has_one_clear_line(metadata, size, line, tmp_path, coordinates):
     given = metadata_of(load_scenario("postcapture"), coordinates, **metadata)
-    linear_policy(tmp_path / "bad.onnx", np.zeros((11, 45)), given, size)
-    with pytest.raises(BlockError) as raised:
-        find_factory("controller", "policy:bad.onnx", python_path=[str(tmp_path)])
-    assert line in str(raised.value)
-    assert "\n" not in str(raised.value)
+    save_policy(tmp_path / "bad.onnx", np.zeros((11, 45)), given, size)
+    assert_refused(tmp_path, "bad.onnx", line)
 
 
 FLOAT, DOUBLE, INT = (onnx.TensorProto.FLOAT, onnx.TensorProto.DOUBLE, onnx.TensorProto.INT64)
-NODE = onnx.helper.make_node
 
 
 @pytest.mark.parametrize(
@@ -269,35 +243,22 @@ NODE = onnx.helper.make_node
 def test_a_network_with_other_ports_is_refused_as_it_is_loaded(
     inputs, outputs, nodes, line, tmp_path, coordinates
 ):
-    made = [NODE(*each[:3], **dict(*each[3:])) for each in nodes]
-    ports = [
-        [onnx.helper.make_tensor_value_info(name, *each) for name, each in ports.items()]
-        for ports in (inputs, outputs)
-    ]
     constants = {"w": np.zeros((45, 11), np.float32), "s": np.array([3, 5], np.int64)}
-    known = [onnx.numpy_helper.from_array(value, name) for name, value in constants.items()]
-    graph = onnx.helper.make_graph(made, "graph", *ports, known)
-    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)])
-    model.ir_version = 9
-    onnx.helper.set_model_props(model, metadata_of(load_scenario("postcapture"), coordinates))
+    metadata = metadata_of(load_scenario("postcapture"), coordinates)
+    model = network(nodes, inputs, outputs, constants, metadata)
     onnx.save(model, tmp_path / "bad.onnx")
-    with pytest.raises(BlockError) as raised:
-        find_factory("controller", "policy:bad.onnx", python_path=[str(tmp_path)])
-    assert line in str(raised.value)
-    assert "\n" not in str(raised.value)
-    assert "ONNXRuntimeError" not in str(raised.value)
+    assert_refused(tmp_path, "bad.onnx", line)
 
 
 def test_a_file_that_is_none_is_named(tmp_path, coordinates):
     (tmp_path / "text.onnx").write_text("no network")
-    linear_policy(tmp_path / "bare.onnx", np.zeros((11, 45)), {})
+    save_policy(tmp_path / "bare.onnx", np.zeros((11, 45)), {})
     for name, line in {
         "text.onnx": "text.onnx is no ONNX model",
         "none.onnx": "no such file",
         "bare.onnx": "lacks metadata 'observation_names'",
     }.items():
-        with pytest.raises(BlockError, match=line):
-            find_factory("controller", f"policy:{name}", python_path=[str(tmp_path)])
+        assert_refused(tmp_path, name, line)
 
 
 def test_a_policy_of_another_task_is_refused(pd):
