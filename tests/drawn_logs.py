@@ -1,5 +1,5 @@
-"""Sixty logs for ``ffsm audit``: 20 true ones of drawn craft by MuJoCo, SciPy on Drake's plant,
-Basilisk and this package's own records, 40 with mistakes of drawn kinds and sizes.
+"""Logs of drawn craft for ``ffsm audit``: true ones, by MuJoCo and by SciPy on Drake's plant, and
+ones with a mistake of drawn size.
 """
 
 import dataclasses
@@ -230,6 +230,10 @@ def scaled(log: Columns, factor: float, names: list[str]) -> Columns:
     return log | {name: factor * log[name] for name in names}
 
 
+def added(log: Columns, name: str, value) -> Columns:
+    return log | {name: log[name] + value}
+
+
 def world_rates(log: Columns) -> Columns:
     """Of a log whose angular velocities are in base axes."""
     return put(log, ANGULAR, attitude(log).apply(rows(log, ANGULAR)))
@@ -237,10 +241,6 @@ def world_rates(log: Columns) -> Columns:
 
 def body_velocity(log: Columns) -> Columns:
     return put(log, LINEAR, attitude(log).inv().apply(rows(log, LINEAR)))
-
-
-def rounded(log: Columns, decimals: int) -> Columns:
-    return {name: np.round(values, decimals) for name, values in log.items()}
 
 
 def in_turning_frame(log: Columns, rate: np.ndarray) -> Columns:
@@ -260,22 +260,13 @@ def write(path: Path, log: Columns, form: str = "%.15g") -> Path:
     return path
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Case:
-    """A log, its model, and what an audit may say."""
-
-    name: str
-    urdf: Path
-    log: Path
-    causes: tuple[str, ...] = ()  # of which one must be named; empty: the log is true
-
-
-def true_logs(folder: Path, seed: int = 0) -> list[Case]:
-    """Twenty true logs: MuJoCo's, SciPy's on Drake's plant, Basilisk's."""
-    draw, found = np.random.default_rng([45, seed]), []
+def true_logs(folder: Path, seed: int = 0) -> dict[str, Path]:
+    """Twenty true logs of MuJoCo, and of SciPy on Drake's plant; each has its model beside it."""
+    draw, found = np.random.default_rng([45, seed]), dict[str, Path]()
 
     def add(name: str, made: Craft, log: Columns, form: str = "%.15g") -> None:
-        found.append(_case(folder, len(found), name, made, log, form))
+        found[name] = write(folder / f"{len(found)}.csv", log, form)
+        found[name].with_suffix(".urdf").write_text(made.urdf)
 
     for joints, period, integrator in (
         (1, 0.01, "RK4"), (3, 0.02, "RK4"), (6, 0.01, "RK4"), (2, 0.05, "RK4"),
@@ -317,153 +308,157 @@ def _set(name: str, places: slice, value: float) -> Callable[[mujoco.MjModel], N
     return lambda model: getattr(model, name).__setitem__(places, value)
 
 
-def _exchanged(log: Columns, joints: tuple[str, ...]) -> Columns:
-    a, b = joints[:2]
-    ends = "", "_rate", "_effort"
-    return log | {a + e: log[b + e] for e in ends} | {b + e: log[a + e] for e in ends}
-
-
-def _case(
-    folder: Path, number: int, name: str, made: Craft, log: Columns, form="%.15g", causes=()
-) -> Case:
-    path = folder / f"{'wrong' if causes else 'true'}_{number}.csv"
-    path.with_suffix(".urdf").write_text(made.urdf)
-    write(path, log, form)
-    return Case(name=name, urdf=path.with_suffix(".urdf"), log=path, causes=causes)
-
-
-def wrong_logs(folder: Path, seed: int = 0) -> list[Case]:
-    """Forty logs with a mistake each, of drawn size, in drawn craft."""
-    draw, found = np.random.default_rng([46, seed]), []
-
-    def add(name: str, made: Craft, log: Columns, *causes: str) -> None:
-        found.append(_case(folder, len(found), name, made, log, causes=causes))
-
-    def factor(least: float = 0.005, most: float = 0.2) -> float:
-        size = math.exp(draw.uniform(math.log(least), math.log(most)))
-        return 1.0 + (size if draw.random() < 0.5 else -size)
-
-    def vector(size: float) -> np.ndarray:
-        found = draw.normal(size=3)
-        return size * found / np.linalg.norm(found)
-
-    def motion(least: int = 2) -> tuple[Craft, Columns, str]:
-        made = craft(int(draw.integers(10_000)), int(draw.integers(least, 6)))
-        period = float(draw.choice([0.005, 0.01, 0.02]))
-        options = {"period": period, "step": 0.0025 if period == 0.005 else 0.002}
-        log = by_mujoco(made, int(draw.integers(1000)), spin=draw.uniform(0.05, 0.4), **options)
-        return made, log, str(draw.choice(made.joints))
-
-    def simulated(name: str, made: Craft, *causes: str, **options) -> None:
-        seed = int(draw.integers(1000))
-        add(name, made, by_mujoco(made, seed, spin=draw.uniform(0.05, 0.3), **options), *causes)
-
-    for least in (0.004, 0.02, 0.08):
-        most = 2.0 * least
-        made, log, joint = motion()
-        size = factor(least, most)
-        add(
-            f"one joint's rate x {size:.4f}",
-            made,
-            scaled(log, size, [f"{joint}_rate"]),
-            "rate_scale",
-        )
-        made, log, _ = motion()
-        size = factor(least, most)
-        add(f"angular velocity x {size:.4f}", made, scaled(log, size, ANGULAR), "rate_scale")
-        made, log, _ = motion()
-        size = factor(least, most)
-        add(f"base velocity x {size:.4f}", made, scaled(log, size, LINEAR), "rate_scale")
-        made, log, _ = motion()
-        size = factor(least, most)
-        add(f"time x {size:.4f}", made, scaled(log, size, ["time"]), "time_scale")
-        made, log, joint = motion()
-        size = factor(least, most)
-        add(
-            f"one effort x {size:.4f}", made, scaled(log, size, [f"{joint}_effort"]), "effort_scale"
-        )
-        made, log, _ = motion()
-        size = factor(least, most)
-        efforts = made.names("_effort")
-        add(f"all efforts x {size:.4f}", made, scaled(log, size, efforts), "mass_or_effort_scale")
-    made, log, joint = motion()
-    add("one effort's sign", made, scaled(log, -1.0, [f"{joint}_effort"]), "effort_sign")
-    made, log, _ = motion()
-    a, b = made.names("_effort")[:2]
-    add("two efforts exchanged", made, log | {a: log[b], b: log[a]}, "joint_order")
-    made, log, joint = motion()
-    size = 0.1 * np.ptp(log[f"{joint}_effort"])
-    add("offset of an effort", made, log | {f"{joint}_effort": log[f"{joint}_effort"] + size},
-        "effort_offset")  # fmt: skip
-    made = craft(int(draw.integers(1000)), 3)
-    size = factor(0.05, 0.3)
-    simulated(f"a link's mass x {size:.3f}", made, "mass", heavier=(3, size))
-    size = 0.1 * float(reflected(made, 0).min())
-    simulated(f"rotor inertia {size:.3g} kg m^2", made, "rotor_inertia",
-              change=_set("dof_armature", slice(6, None), size))  # fmt: skip
-    rub = 0.1 * float(reflected(made, 0).min())
-    simulated(f"joints damped by {rub:.3g} N m s", made, "friction",
-              change=_set("dof_damping", slice(6, None), rub))  # fmt: skip
-    pull = vector(draw.uniform(0.001, 0.01))
-    simulated("gravity", made, "gravity",
-              change=lambda model: model.opt.gravity.__setitem__(slice(None), pull))  # fmt: skip
-    force = np.concatenate([vector(draw.uniform(0.1, 1.0)), np.zeros(3)])
-    simulated("a constant force", made, "external_force", "gravity", push=lambda t: force)
-    simulated(
-        "a force for a while", made, "no_single_mistake", push=lambda t: force * (1.0 < t < 2.0)
-    )
-    for size in (3e-3, 3e-2):
-        made, log, _ = motion()
-        add(f"gyro bias {size:g} rad/s", made,
-            put(log, ANGULAR, rows(log, ANGULAR) + vector(size)), "rate_offset")  # fmt: skip
-    made, log, _ = motion()
-    spin = vector(draw.uniform(1e-3, 1e-2))
-    log = world_rates(log)
-    add("rates relative to a turning frame", made,
-        put(log, ANGULAR, rows(log, ANGULAR) - spin), "frame_rate")  # fmt: skip
-    made, log, _ = motion()
-    log = in_turning_frame(world_rates(log), vector(draw.uniform(3e-3, 1e-2)))
-    add("all in a turning frame", made, log, "frame_rate")
-    for size in (0.05, 1.5):
-        made, log, _ = motion()
-        turn = Rotation.from_rotvec(vector(size))
-        add(f"gyro axes turned by {size} rad", made,
-            put(log, ANGULAR, turn.apply(rows(log, ANGULAR))), "axes")  # fmt: skip
-    for size in (0.1, math.pi / 2.0):
-        made, log, _ = motion()
-        turn = Rotation.from_rotvec(vector(size))
-        log = put(world_rates(log), QUATERNION, (attitude(log) * turn).as_quat(scalar_first=True))
-        add(f"base axes turned by {size:.2f} rad", made, log, "frame")
-    made, log, _ = motion()
-    add("offset of the velocity", made,
-        put(log, LINEAR, rows(log, LINEAR) + vector(0.01)), "rate_offset")  # fmt: skip
-    made, log, joint = motion()
-    late = np.concatenate([[log[f"{joint}_rate"][0]] * 3, log[f"{joint}_rate"][:-3]])
-    add("one joint's rate three samples late", made, log | {f"{joint}_rate": late}, "time_shift")
-    made, log, _ = motion()
-    jump = log["base_position_x"] + 0.05 * (log["time"] > 2.0)
-    add("the position jumps by 5 cm", made, log | {"base_position_x": jump}, "jumps")
-    made, log, joint = motion()
-    add("two joints exchanged", made, _exchanged(log, made.joints), "joint_order", "joint_sign")
-    made, log, joint = motion()
-    add("a joint turns the other way", made, scaled(log, -1.0, [joint, f"{joint}_rate"]),
-        "joint_sign")  # fmt: skip
-    return found
-
-
 def _tilted(log: Columns, turn: Rotation) -> Columns:
     """Of a log in world axes, with the base's axes turned."""
     return put(log, QUATERNION, (attitude(log) * turn).as_quat(scalar_first=True))
 
 
+@dataclasses.dataclass(frozen=True)
+class Drawn:
+    """What a change of a log needs: the craft, one of its joints, random numbers."""
+
+    made: Craft
+    joint: str
+    draw: np.random.Generator
+    sizes: list[float] = dataclasses.field(default_factory=list)  # in the words of an audit
+
+    def even(self, least: float, most: float) -> float:
+        return math.exp(self.draw.uniform(math.log(least), math.log(most)))
+
+    def vector(self, size: float) -> np.ndarray:
+        found = self.draw.normal(size=3)
+        return size * found / np.linalg.norm(found)
+
+    def factor(self) -> float:
+        """A factor of a column, whose inverse an audit finds."""
+        size = self.even(0.004, 0.15) * self.draw.choice([-1.0, 1.0])
+        self.sizes.append(1.0 / (1.0 + size))
+        return 1.0 + size
+
+    def offset(self, least: float, most: float) -> np.ndarray:
+        """An offset of three columns, which an audit finds."""
+        found = self.vector(self.even(least, most))
+        self.sizes.extend(found)
+        return found
+
+
+def _exchanged(log: Columns, drawn: Drawn, *ends: str) -> Columns:
+    a, b = drawn.made.joints[:2]
+    return log | {a + e: log[b + e] for e in ends} | {b + e: log[a + e] for e in ends}
+
+
+def _late(log: Columns, name: str, samples: int) -> Columns:
+    return log | {name: np.concatenate([[log[name][0]] * samples, log[name][:-samples]])}
+
+
+def _taken(log: Columns, kept: np.ndarray, *, renumbered: bool = False) -> Columns:
+    times = {"time": log["time"][: len(kept)]} if renumbered else {}
+    return {name: values[kept] for name, values in log.items()} | times
+
+
+def _without(log: Columns) -> np.ndarray:
+    return np.delete(np.arange(len(log["time"])), [50, 51, 80, 120, 121, 122])
+
+
+def _stale(log: Columns) -> np.ndarray:
+    rows = np.arange(len(log["time"]))
+    return np.where(np.isin(rows, [30, 70, 110]), rows - 1, rows)
+
+
+DEGREE = 180.0 / math.pi
+# kind of mistake -> what an audit may call it, words that it may use, the changed log
+CHANGES: dict[str, tuple[tuple[str, ...], str, Callable[[Columns, Drawn], Columns]]] = {
+    "rate scale": (
+        ("rate_scale",), "times", lambda log, it: scaled(log, it.factor(), [f"{it.joint}_rate"]),
+    ),
+    "gyro scale": (("rate_scale",), "times", lambda log, it: scaled(log, it.factor(), ANGULAR)),
+    "velocity scale": (("rate_scale",), "times", lambda log, it: scaled(log, it.factor(), LINEAR)),
+    "time scale": (("time_scale",), "the time", lambda log, it: scaled(log, it.factor(), ["time"])),
+    "milliseconds": (("time_unit",), "milliseconds", lambda log, _: scaled(log, 1e3, ["time"])),
+    "all efforts": (
+        ("mass_or_effort_scale",), "times the URDF's",
+        lambda log, it: scaled(log, it.factor(), it.made.names("_effort")),
+    ),
+    "effort sign": (
+        ("effort_sign",), "other sign", lambda log, it: scaled(log, -1.0, [f"{it.joint}_effort"]),
+    ),
+    "effort order": (
+        ("joint_order",), "the effort called", lambda log, it: _exchanged(log, it, "_effort"),
+    ),
+    "effort offset": (
+        ("effort_offset",), "constant offset",
+        lambda log, it: added(log, f"{it.joint}_effort", 0.1 * np.ptp(log[f"{it.joint}_effort"])),
+    ),
+    "relative rates": (
+        ("frame_rate",), "rad/s",
+        lambda log, it: put(world_rates(log), ANGULAR,
+                            rows(world_rates(log), ANGULAR) - it.offset(1e-3, 1e-2)),
+    ),
+    "velocity offset": (
+        ("rate_offset",), "m/s",
+        lambda log, it: put(log, LINEAR, rows(log, LINEAR) - it.offset(1e-3, 1e-1)),
+    ),
+    "late rate": (("time_shift",), "late", lambda log, it: _late(log, f"{it.joint}_rate", 3)),
+    "jump": (
+        ("jumps",), "jumps in 1 period",
+        lambda log, _: added(log, "base_position_x", 0.05 * (log["time"] > 2.0)),
+    ),
+    "joint order": (
+        ("joint_order", "joint_sign"), "",
+        lambda log, it: _exchanged(log, it, "", "_rate", "_effort"),
+    ),
+    "joint sign": (
+        ("joint_sign",), "has the opposite sign",
+        lambda log, it: scaled(log, -1.0, [it.joint, f"{it.joint}_rate"]),
+    ),
+    "rate order": (
+        ("joint_order",), "belongs to another joint", lambda log, it: _exchanged(log, it, "_rate"),
+    ),
+    "joints in degrees": (
+        ("degrees",), "every joint is in degrees",
+        lambda log, it: scaled(log, DEGREE, it.made.names() + it.made.names("_rate")),
+    ),
+    "rates in degrees": (
+        ("degrees",), "degrees per second",
+        lambda log, it: scaled(log, DEGREE, it.made.names("_rate")),
+    ),
+    "scalar last": (
+        ("quaternion_order",), "scalar of the quaternion is last",
+        lambda log, _: put(log, QUATERNION, rows(log, [*QUATERNION[1:], QUATERNION[0]])),
+    ),
+    "inverse": (("quaternion_inverse",), "R_BW", lambda log, _: scaled(log, -1.0, QUATERNION[1:])),
+    "norm": (
+        ("quaternion_norm",), "1 to 1.02, not 1",
+        lambda log, _: put(log, QUATERNION, np.linspace(1.0, 1.02, len(log["time"]))[:, None]
+                           * rows(log, QUATERNION)),
+    ),
+    "velocity turned twice": (
+        ("no_single_mistake",), "",
+        lambda log, _: body_velocity(body_velocity(log)),
+    ),
+    "dropped": (("dropped_samples",), "about 6 samples", lambda log, _: _taken(log, _without(log))),
+    "dropped and renumbered": (
+        ("dropped_samples",), "about 6 samples",
+        lambda log, _: _taken(log, _without(log), renumbered=True),
+    ),
+    "repeated": (
+        ("repeated_samples",), "3 samples",
+        lambda log, _: _taken(log, _stale(log), renumbered=True),
+    ),
+    "time order": (
+        ("time_order",), "10 samples",
+        lambda log, _: _taken(log, np.r_[:100, 90 : len(log["time"])]),
+    ),
+}  # fmt: skip
 # kind of mistake -> what an audit may call it
 MISTAKES = {
     "none": (), "zero shift": ("zero_shift",), "spring": ("spring",), "damping": ("friction",),
     "dry friction": ("friction",), "mass": ("mass",), "center": ("center_of_mass",),
     "rotor": ("rotor_inertia",), "effort scale": ("effort_scale",), "frame": ("frame_rate",),
     "gyro bias": ("rate_offset",), "gyro axes": ("axes",), "base axes": ("frame",),
-    "force": ("external_force",),
-}  # fmt: skip
+    "force": ("external_force",), "gravity": ("gravity",), "damped base": ("damping",),
+    "force for a while": ("no_single_mistake",),
+} | {kind: causes for kind, (causes, *_) in CHANGES.items()}  # fmt: skip
 
 
 def mistaken(kind: str, seed: int) -> tuple[Craft, Columns, np.ndarray]:
@@ -471,21 +466,15 @@ def mistaken(kind: str, seed: int) -> tuple[Craft, Columns, np.ndarray]:
     the units in which an audit gives them.
     """
     draw = np.random.default_rng([58, list(MISTAKES).index(kind), seed])
-
-    def even(least: float, most: float) -> float:
-        return math.exp(draw.uniform(math.log(least), math.log(most)))
-
-    def vector(size: float) -> np.ndarray:
-        found = draw.normal(size=3)
-        return size * found / np.linalg.norm(found)
-
     made = craft(int(draw.integers(10_000)), int(draw.integers(2, 6)))
     joint, sign = int(draw.integers(len(made.joints))), float(draw.choice([-1.0, 1.0]))
     name, own = made.joints[joint], float(reflected(made, 0)[joint])
+    drawn = Drawn(made, name, draw)
+    even, vector = drawn.even, drawn.vector
     size, options, after = [], {}, lambda log: log
     if kind == "zero shift":
         size = sign * even(0.003, 0.5)
-        after = lambda log: log | {name: log[name] + size}  # noqa: E731
+        after = lambda log: added(log, name, size)  # noqa: E731
     elif kind in ("spring", "damping", "dry friction", "rotor"):
         field, share = {
             "spring": ("jnt_stiffness", 0.5), "damping": ("dof_damping", 0.3),
@@ -527,8 +516,20 @@ def mistaken(kind: str, seed: int) -> tuple[Craft, Columns, np.ndarray]:
         turns = bool(draw.random() < 0.5)
         force[3 * turns : 3 * turns + 3] = size = vector(even(0.01, 1.0))
         options["push"] = lambda t: force
+    elif kind == "force for a while":
+        force = np.append(vector(even(0.1, 1.0)), np.zeros(3))
+        options["push"] = lambda t: force * (0.5 < t < 1.5)
+    elif kind == "gravity":
+        size = vector(even(1e-3, 10.0))
+        options["change"] = lambda model: model.opt.gravity.__setitem__(slice(None), size)
+    elif kind == "damped base":
+        size = even(1.0, 20.0)
+        options["change"] = _set("dof_damping", slice(6), size)
+    elif kind in CHANGES:
+        after = lambda log: CHANGES[kind][2](log, drawn)  # noqa: E731
     log = by_mujoco(
         made, int(draw.integers(10_000)), period=float(draw.choice([0.01, 0.02])), step=0.005,
         duration=3.0, spin=draw.uniform(0.05, 0.3), **options,
     )  # fmt: skip
-    return made, after(log), np.atleast_1d(size)
+    log = after(log)
+    return made, log, np.atleast_1d(drawn.sizes or size)

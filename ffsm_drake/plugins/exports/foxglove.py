@@ -6,14 +6,13 @@ Topics: ``/tf`` (every body in the world), ``/scene`` (the visual shapes of the 
 its name, as JSON. The scenario and the URDFs are attached.
 """
 
-import copy
 import dataclasses
 import importlib
 import json
 import logging
 import secrets
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -98,9 +97,7 @@ def watch(
         door = FoxgloveDoor(f"ws://{address}:{server.port}", port)
         tell(f"In Foxglove open the connection {door.url}")
         live = _Live(_Scene(foxglove, context, scenario), scenario, wait)
-        config = copy.deepcopy(scenario.simulator_config)
-        config.target_realtime_rate = 0.0  # ``live`` sets the pace
-        alone = dataclasses.replace(scenario, simulator_config=config)
+        alone = scenario.replace(simulator_config={"target_realtime_rate": 0.0})  # ``live`` paces
         record = simulate(alone, blocks={"forces.disturbance": live.make})
         return dataclasses.replace(record, scenario=complete_gains(scenario))
     finally:
@@ -277,7 +274,7 @@ class _Scene:
                 timestamp=self.stamp(time),
                 parent_frame_id=WORLD,
                 child_frame_id=name,
-                translation=self._vector(X),
+                translation=self._vector(X.translation()),
                 rotation=self._quaternion(X),
             )
             for name, X in poses.items()
@@ -286,47 +283,40 @@ class _Scene:
 
     def _primitive(self, shape: Any, X: RigidTransform, rgba: Rgba) -> tuple[str, Any] | None:
         """The kind and the primitive of a shape; None for what has no such form."""
-        m = self.m
-        color = m.Color(r=rgba.r(), g=rgba.g(), b=rgba.b(), a=rgba.a())
-        common = {"pose": self._pose(X), "color": color}
-
-        def vector(x: float, y: float, z: float) -> Any:
-            return m.Vector3(x=x, y=y, z=z)
-
+        color = self.m.Color(r=rgba.r(), g=rgba.g(), b=rgba.b(), a=rgba.a())
+        pose = self.m.Pose(position=self._vector(X.translation()), orientation=self._quaternion(X))
+        more: dict[str, Any] = {}
         if isinstance(shape, Box):
-            return "cubes", m.CubePrimitive(size=vector(*shape.size()), **common)
-        if isinstance(shape, Cylinder | Capsule):  # a capsule without its caps
-            wide = 2.0 * shape.radius()
-            size = vector(wide, wide, shape.length())
-            return "cylinders", m.CylinderPrimitive(
-                size=size, bottom_scale=1.0, top_scale=1.0, **common
-            )
-        if isinstance(shape, Sphere):
-            return "spheres", m.SpherePrimitive(size=vector(*3 * (2.0 * shape.radius(),)), **common)
-        if isinstance(shape, Ellipsoid):
-            size = vector(2.0 * shape.a(), 2.0 * shape.b(), 2.0 * shape.c())
-            return "spheres", m.SpherePrimitive(size=size, **common)
-        if isinstance(shape, Mesh) and (file := Path(shape.source().path())).suffix in _MEDIA:
-            scale = np.broadcast_to(shape.scale3(), 3)
-            return "models", m.ModelPrimitive(
-                scale=vector(*scale),
+            kind, make, size = "cubes", self.m.CubePrimitive, shape.size()
+        elif isinstance(shape, Cylinder | Capsule):  # a capsule without its caps
+            kind, make = "cylinders", self.m.CylinderPrimitive
+            size = 2.0 * shape.radius(), 2.0 * shape.radius(), shape.length()
+            more = {"bottom_scale": 1.0, "top_scale": 1.0}
+        elif isinstance(shape, Sphere):
+            kind, make, size = "spheres", self.m.SpherePrimitive, 3 * [2.0 * shape.radius()]
+        elif isinstance(shape, Ellipsoid):
+            kind, make = "spheres", self.m.SpherePrimitive
+            size = 2.0 * shape.a(), 2.0 * shape.b(), 2.0 * shape.c()
+        elif isinstance(shape, Mesh) and (file := Path(shape.source().path())).suffix in _MEDIA:
+            return "models", self.m.ModelPrimitive(
+                pose=pose,
+                color=color,
+                scale=self._vector(np.broadcast_to(shape.scale3(), 3)),
                 media_type=_MEDIA[file.suffix],
                 data=file.read_bytes(),
                 override_color=file.suffix in (".obj", ".stl"),
-                **common,
             )
-        return None
+        else:
+            return None
+        return kind, make(pose=pose, color=color, size=self._vector(size), **more)
 
-    def _pose(self, X: RigidTransform) -> Any:
-        return self.m.Pose(position=self._vector(X), orientation=self._quaternion(X))
-
-    def _vector(self, X: RigidTransform) -> Any:
-        x, y, z = X.translation()
-        return self.m.Vector3(x=x, y=y, z=z)
+    def _vector(self, values: Iterable[float]) -> Any:
+        return self.m.Vector3(**dict(zip("xyz", values, strict=True)))
 
     def _quaternion(self, X: RigidTransform) -> Any:
-        w, x, y, z = X.rotation().ToQuaternion().wxyz()
-        return self.m.Quaternion(w=w, x=x, y=y, z=z)
+        return self.m.Quaternion(
+            **dict(zip("wxyz", X.rotation().ToQuaternion().wxyz(), strict=True))
+        )
 
 
 class _Live:

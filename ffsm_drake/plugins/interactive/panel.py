@@ -8,7 +8,6 @@ start button clicked, and the payload's true mass.
 run; the record's scenario then holds it.)
 """
 
-import copy
 import dataclasses
 import sys
 import time
@@ -23,6 +22,7 @@ from pydrake.systems.framework import Diagram
 
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.interrupts import interruptible
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.loop.operator import make_operated_disturbance
 from ffsm_drake.plugins.interactive.controls import CodeLock, Controls, label_text
 from ffsm_drake.plugins.interactive.door import keep_for_ever, live_server
@@ -279,7 +279,7 @@ class _Operator:
         self._pushed.clear()  # clicks before the run do not push
         if controller != scenario.controller:
             self._events.append(f"controller {controller} (scenario: {scenario.controller})")
-            scenario = dataclasses.replace(scenario, controller=controller)
+            scenario = scenario.replace(controller=controller)
         truth = scenario.payload.truth
         if abs(mass - truth.mass) > 0.5 * _MASS_STEP * truth.mass:
             self._events.append(
@@ -287,17 +287,12 @@ class _Operator:
                 f"(scenario: {truth.mass:g} kg)"
             )
             inertia = [mass / truth.mass * entry for entry in truth.inertia]
-            truth = dataclasses.replace(truth, mass=mass, inertia=inertia)
-            scenario = dataclasses.replace(
-                scenario, payload=dataclasses.replace(scenario.payload, truth=truth)
-            )
+            scenario = scenario.replace(payload={"truth": {"mass": mass, "inertia": inertia}})
         self._run_scenario = scenario
         # The page's slider paces the run; Drake's own pacing would catch up after every pause.
-        config = copy.deepcopy(scenario.simulator_config)
-        config.target_realtime_rate = 0.0
         self._due = time.perf_counter()
         self.show_status("starting")
-        return dataclasses.replace(scenario, simulator_config=config)
+        return scenario.replace(simulator_config={"target_realtime_rate": 0.0})
 
     def _make_disturbance(self, setup: BlockSetup) -> Diagram:
         """The disturbance of the next run, under the operator's control."""
@@ -313,8 +308,8 @@ class _Operator:
         record = dataclasses.replace(record, scenario=complete_gains(self._run_scenario))
         if not self._events:
             return record
-        noun = "input" if len(self._events) == 1 else "inputs"
-        message = f"{record.outcome.message}, with {len(self._events)} {noun} of an operator"
+        given = counted(len(self._events), "input")
+        message = f"{record.outcome.message}, with {given} of an operator"
         return dataclasses.replace(
             record,
             outcome=dataclasses.replace(record.outcome, message=message),
