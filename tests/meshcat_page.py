@@ -3,50 +3,28 @@
 import base64
 import gc
 import os
-import re
 import socket
-import struct
 from urllib.parse import urlsplit
 
+import msgpack
 import numpy as np
 from pydrake.geometry import Meshcat
 
 
-def _text(string: str) -> bytes:
-    data = string.encode()
-    return (bytes([0xA0 | len(data)]) if len(data) < 32 else bytes([0xD9, len(data)])) + data
-
-
 def click_message(button: str) -> bytes:
-    """The message (msgpack) that a click on a button sends."""
-    return b"\x82" + _text("type") + _text("button") + _text("name") + _text(button)
+    """The message that a click on a button sends."""
+    return msgpack.packb({"type": "button", "name": button})
 
 
 def slider_message(slider: str, value: float) -> bytes:
     """The message that moving a slider sends."""
-    named = _text("type") + _text("slider") + _text("name") + _text(slider)
-    return b"\x83" + named + _text("value") + b"\xcb" + struct.pack(">d", value)
+    return msgpack.packb({"type": "slider", "name": slider, "value": value})
 
 
 def transform(meshcat: Meshcat, path: str) -> np.ndarray:
-    """The 4 x 4 matrix that the browser was last told; msgpack stores it as the last 16 doubles or
-    floats.
-    """
-    packed = meshcat._GetPackedTransform(path)
-    numbers = re.search(rb"matrix(.*)", packed, re.DOTALL)[1]
-    assert numbers[0] == 0xDC  # an array of 16
-    values, i = [], 3
-    while len(values) < 16:
-        if numbers[i] == 0xCB:
-            values.append(np.frombuffer(numbers[i + 1 : i + 9], ">f8")[0])
-            i += 9
-        elif numbers[i] == 0xCA:
-            values.append(np.frombuffer(numbers[i + 1 : i + 5], ">f4")[0])
-            i += 5
-        else:
-            values.append(np.frombuffer(numbers[i : i + 1], "i1")[0])
-            i += 1
-    return np.array(values, dtype=float).reshape(4, 4).T
+    """The 4 x 4 matrix that the browser was last told."""
+    matrix = msgpack.unpackb(meshcat._GetPackedTransform(path))["matrix"]
+    return np.array(matrix, dtype=float).reshape(4, 4).T
 
 
 def click(meshcat: Meshcat, button: str) -> None:

@@ -95,13 +95,14 @@ def quit_when_idle(hands):
         click(hands.meshcat, QUIT)
 
 
-def operate(meshcat, scenario, *steps):
-    """The records of a session in which hands do the steps."""
+def operate(meshcat, scenario, *steps, told=None, unlocked=True, **settings):
+    """The records of a session in which hands do the steps, with the lines in ``told`` if given."""
     meshcat.Delete()
-    told = []
-    hands = Hands(meshcat, lambda _: dial(meshcat, told), *steps)
+    told = [] if told is None else told
+    first = [lambda _: dial(meshcat, told)] if unlocked else []
+    settings.setdefault("wait", Hands(meshcat, *first, *steps))
     return run_interactive(
-        scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands
+        scenario, meshcat=meshcat, check_stability=False, tell=told.append, **settings
     )
 
 
@@ -176,22 +177,16 @@ def test_pauses_and_pace_do_not_touch_the_run(meshcat, scenario):
 
 def test_the_rate_slider_paces_the_run(meshcat, scenario):
     def asked_for(rate):
-        asked = []
-        told = []
-        unlock = lambda _: dial(meshcat, told)  # noqa: E731
-        hands = Hands(
-            meshcat, unlock, let_pass(2), move(RATE, rate), start(), lambda hands: asked.clear()
-        )
+        asked, told = [], []
+        steps = [let_pass(2), move(RATE, rate), start(), lambda hands: asked.clear()]
+        hands = Hands(meshcat, lambda _: dial(meshcat, told), *steps)
 
         def wait(seconds):
             if not hands.idle:
                 asked.append(seconds)
             hands(seconds)
 
-        meshcat.Delete()
-        run_interactive(
-            scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=wait
-        )
+        operate(meshcat, scenario, told=told, wait=wait)
         return sum(asked)
 
     # A sample takes 20 ms of wall time at rate 0.5, less than its computation at rate 10.
@@ -324,9 +319,6 @@ def test_quit_at_the_very_start_leaves_a_record(meshcat, scenario, tmp_path):
 
 
 def test_ctrl_c_ends_the_session(meshcat, scenario):
-    def interrupt(_):
-        signal.raise_signal(signal.SIGINT)
-
     assert operate(meshcat, scenario, interrupt) == []
     (record,) = operate(meshcat, scenario, start(), let_pass(50), interrupt)
     assert record.outcome.status == "interrupted"
@@ -371,13 +363,9 @@ def test_restarts_need_no_more_memory_than_twenty(meshcat, scenario, count):
         records.append(weakref.ref(record))
 
     steps = [lambda _: dial(meshcat, told), *[start(), let_pass(25)] * (count + 1)]
-    meshcat.Delete()
     hands = Hands(meshcat, *steps)
     hands.latest += 300.0
-    kept = run_interactive(
-        scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands,
-        keep=keep,
-    )  # fmt: skip
+    kept = operate(meshcat, scenario, told=told, wait=hands, keep=keep)
     assert len(kept) == count + 1
     assert max(sizes[20:]) - sizes[20] < 5.0, sizes
 
@@ -420,7 +408,6 @@ def foreign_clicks(meshcat, page):
 
 
 def test_a_foreign_page_cannot_start_a_run(meshcat, scenario):
-    meshcat.Delete()
     page, told = ForeignPage(meshcat), []
 
     def guess(hands):
@@ -436,13 +423,7 @@ def test_a_foreign_page_cannot_start_a_run(meshcat, scenario):
         assert not {CODE, UNLOCK} & {*meshcat.GetSliderNames(), *meshcat.GetButtonNames()}
 
     steps = [clicks, guess, guess, guess, is_barred, clicks, let_pass(2), interrupt]
-    hands = Hands(meshcat, *steps)
-    assert (
-        run_interactive(
-            scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands
-        )
-        == []
-    )
+    assert operate(meshcat, scenario, *steps, told=told, unlocked=False) == []
     assert len(told) == 4
     page.close()
 
@@ -460,23 +441,8 @@ def test_a_foreign_page_cannot_push_or_stop_a_run(meshcat, scenario, plain):
         pages.append(ForeignPage(meshcat))
         foreign_clicks(meshcat, pages[0])
 
-    meshcat.Delete()
-    steps = [
-        lambda _: dial(meshcat, told),
-        let_pass(2),
-        start(),
-        let_pass(20),
-        come,
-        until_idle,
-        interrupt,
-    ]
-    (record,) = run_interactive(
-        scenario,
-        meshcat=meshcat,
-        check_stability=False,
-        tell=told.append,
-        wait=Hands(meshcat, *steps),
-    )
+    steps = [let_pass(2), start(), let_pass(20), come, until_idle, interrupt]
+    (record,) = operate(meshcat, scenario, *steps, told=told)
     pages[0].close()
     assert "A page has joined or left, so the controls are locked" in told[-1]
     assert code_in(told[-1]) != code_in(told[0])
@@ -501,14 +467,9 @@ def test_a_page_that_comes_while_the_controls_are_read_is_not_obeyed(
             foreign_clicks(meshcat, pages[0])
         return moved(controls, label)
 
-    meshcat.Delete()
     monkeypatch.setattr(Controls, "moved", come)
-    hands = Hands(
-        meshcat, lambda _: dial(meshcat, told), let_pass(2), start(), until_idle, interrupt
-    )
-    (record,) = run_interactive(
-        scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands
-    )
+    steps = [let_pass(2), start(), until_idle, interrupt]
+    (record,) = operate(meshcat, scenario, *steps, told=told)
     pages[0].close()
     assert "A page has joined or left" in told[-1]
     assert record.dataset.identical(plain.dataset)
@@ -611,23 +572,12 @@ def test_a_foreign_page_in_a_browser_cannot_command(meshcat, scenario, tmp_path,
         return lambda hands: meshcat.GetButtonClicks("arrived") > clicks
 
     meshcat.Delete()
-    steps = [
-        lambda _: dial(meshcat, told),
-        let_pass(2),
-        start(),
-        let_pass(20),
-        come,
-        until_idle,
-        is_still_sending,
-    ]
-    hands = Hands(meshcat, *steps, let_pass(20), interrupt)
+    steps = [let_pass(2), start(), let_pass(20), come, until_idle, is_still_sending]
     own = ForeignPage(meshcat)  # the operator's
     until(lambda: meshcat.GetNumActiveConnections() == 1)
     try:
         with browser:
-            (record,) = run_interactive(
-                scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=hands
-            )
+            (record,) = operate(meshcat, scenario, *steps, let_pass(20), interrupt, told=told)
     finally:
         own.close()
         meshcat.DeleteButton("arrived")
@@ -660,21 +610,7 @@ def idle(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("idle")
 def test_an_installed_law_has_its_button(meshcat):
-    told = []
-    steps = iter([start_button("idle"), QUIT])
-
-    def wait(_):
-        if UNLOCK in meshcat.GetButtonNames():
-            meshcat.SetSliderValue(CODE, float(re.search(r"type (\d{5}) beside", told[-1])[1]))
-            click(meshcat, UNLOCK)
-            return
-        status = next(name for name in meshcat.GetButtonNames() if name.startswith("[ "))
-        if "ready" in status or "completed" in status:
-            click(meshcat, next(steps))
-
     scenario = load_scenario("postcapture", ["duration=0.1"])
-    (record,) = run_interactive(
-        scenario, meshcat=meshcat, check_stability=False, tell=told.append, wait=wait
-    )
+    (record,) = operate(meshcat, scenario, let_pass(2), start("idle"), until_idle)
     assert record.scenario.controller == "idle"
     assert record.outcome.completed
