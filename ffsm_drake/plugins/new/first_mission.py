@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from pydrake.math import RollPitchYaw
-from pydrake.multibody.tree import JacobianWrtVariable, RigidBody
+from pydrake.multibody.tree import RigidBody
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.numbers import short
@@ -27,12 +27,12 @@ from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.plugins.new.asked import Asked
 from ffsm_drake.plugins.new.base_box import BaseBox
 from ffsm_drake.plugins.new.hands import Hands
+from ffsm_drake.plugins.new.postures import STARTS, Arm
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
 from ffsm_drake.plugins.new.urdf.target import Target
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import EMPTY, Grip, Scenario, scenario_from_dict
 from ffsm_drake.scenario.actuation import Thrusters, Wheel, thrusters_of
-from ffsm_drake.spacecraft.clearance import Clearance, Nearest
 from ffsm_drake.spacecraft.coordinates import (
     BASE_POSITION,
     BASE_ROTATION,
@@ -41,16 +41,15 @@ from ffsm_drake.spacecraft.coordinates import (
 )
 from ffsm_drake.spacecraft.limits import POSITION, RATE, urdf_limits
 from ffsm_drake.spacecraft.nominal import make_true_plant
-from ffsm_drake.spacecraft.plant import base_body, configuration, find_frame
+from ffsm_drake.spacecraft.plant import configuration, find_frame
 from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import SHIPPED, find_factory
 
 BY_AXIS = ("tdc", "asmc", "aismc", "tde_aismc")
 # The postures.
-_SAMPLES, _STARTS, _WAY = 400, 8, 6  # candidates; initial postures kept; instants of a way
+_SAMPLES = 400  # candidates of a posture
 _HOLD, _LONG_HOLD = 5.0, 20.0  # s, the target posture is held; with real sensors or actuators
-_CLEAR = 0.05  # m, that parts keep to each other
 _LENGTHS = (0.3, 0.2, 0.5)  # m, of an approach along the grasp axis
 # Shares of the joints' limits that a plan may use, and of the durations, of approach and motion,
 # with which it is tried: a joint that moves at the grasp turns back later in a longer motion.
@@ -133,7 +132,7 @@ class Draft:
         self._thrusters()
         self._panels()
         if self.servicer.second is not None:
-            self.is_held = Hands(self, target, clear=_CLEAR).place()
+            self.is_held = Hands(self, target).place()
             return
         self._starts = self._postures()
         if self.asked.has_approach:
@@ -170,16 +169,18 @@ class Draft:
 
         Returns: initial configurations (nq) without contact, the best first.
         """
-        arm, rng = _Arm(self), np.random.default_rng(self._seed)
-        low, high = arm.limits.T
+        arm, rng = Arm(self), np.random.default_rng(self._seed)
+        low, high = arm.low[arm.moving], arm.high[arm.moving]
         rest = 0.5 * (low + high)
         target = arm.best([rest, *(low + (high - low) * rng.random((_SAMPLES, low.size)))])[0]
         step = np.minimum(0.6, 0.5 * (high - low))
         draws = rng.uniform(0.35, 1.0, (_SAMPLES, low.size)) * rng.choice([-1.0, 1.0], low.size)
         near = [q for q in target + draws * step if ((q >= low) & (q <= high)).all()]
-        starts = arm.best([*near, 0.5 * (target + rest)], to=target, count=_STARTS)
+        starts = arm.best([*near, 0.5 * (target + rest)], to=target, count=STARTS)
         end, initial = self.data["target_posture"], self.data["initial_posture"]
-        end["joints"], initial["joints"] = map(arm.by_name, (target, starts[0]))
+        end["joints"], initial["joints"] = (
+            arm.by_name(arm.filled(each)) for each in (target, starts[0])
+        )
         if (least := arm.nearest(starts[0], target)).distance < 0.0:
             self.touching = f"no posture free of contact was found: {least} in the best"
         self.data["reference"]["duration"] = max(
@@ -189,7 +190,7 @@ class Draft:
                 for name, angle in initial["joints"].items()
             ),
         )
-        return [arm.whole(start) for start in starts]
+        return [arm.whole(arm.filled(start)) for start in starts]
 
     def rate_of(self, name: str) -> float:
         """Return the moderate rate of a joint, rad/s or m/s."""
@@ -605,89 +606,6 @@ class Draft:
         if linear_verdict(self.scenario).is_alarm:
             return self.peaks.size
         return 0 if make_rollout(self.scenario).run().ending.is_settled else NUM_BASE_VELOCITIES
-
-
-class _Arm:
-    """Postures of the joints that move the tip. The other joints are at ``Joint.rest``."""
-
-    def __init__(self, draft: Draft) -> None:
-        self.true, self.plant, tip = draft.true, draft.true.plant, draft.servicer.tip
-        model, self.reach = draft.scenario.model, max(tip.reach, 0.05)
-        self.clearance = Clearance(model, flexible=True)  # real shapes only
-        self.all_shapes = Clearance(model, flexible=True, invented=True)
-        self.tip = find_frame(self.plant, f"servicer::{tip.frame}", key="tip")
-        named = {joint.name: joint for joint in draft.servicer.joints}
-        joints = [named[name] for name in draft.coordinates.joints]
-        self.rest = np.array([each.rest for each in joints])
-        self.moving = np.flatnonzero([each.name in tip.joints for each in joints])
-        moving = [joints[k] for k in self.moving]
-        self.slides = np.array([each.unit == "m" for each in moving])
-        self.limits = np.array([each.range for each in moving])
-
-    def whole(self, values: np.ndarray) -> np.ndarray:
-        """Return the configuration (nq) with values (m), with the base at the origin."""
-        joints = self.rest.copy()
-        joints[self.moving] = values
-        return np.concatenate([[1.0], np.zeros(NUM_BASE_POSITIONS - 1), joints])
-
-    def by_name(self, values: np.ndarray) -> dict[str, float]:
-        """Return the positions of all joints by name, rad or m."""
-        joints = self.whole(values)[NUM_BASE_POSITIONS:].tolist()
-        return dict(zip(self.true.coordinates.joints, joints, strict=True))
-
-    def best(
-        self, candidates: list[np.ndarray], *, to: np.ndarray | None = None, count: int = 1
-    ) -> list[np.ndarray]:
-        """Return the ``count`` most dexterous candidates (m) without contact, also on the way
-        ``to`` another.
-
-        If there is none, candidates without contact of real shapes are returned, or else the
-        candidate with the largest distance.
-        """
-        ranked = [np.round(each, 3) for each in sorted(candidates, key=self._stiffness)]
-        has_invented = len([*self.all_shapes.placed()]) > len([*self.clearance.placed()])
-        for shapes in (self.all_shapes, self.clearance)[not has_invented :]:
-            found, distances = list[np.ndarray](), list[float]()
-            for each in ranked:
-                with step(f"candidate {len(distances) + 1} of {len(ranked)}"):
-                    distances.append(
-                        self.nearest(each, each if to is None else to, shapes).distance
-                    )
-                if distances[-1] >= _CLEAR:
-                    found.append(each)
-                if len(found) == count:
-                    break
-            if found:
-                return found
-        return [ranked[int(np.argmax(distances))]]
-
-    def nearest(
-        self, start: np.ndarray, end: np.ndarray, shapes: Clearance | None = None
-    ) -> Nearest:
-        """Return the nearest parts on the straight way between two postures (m), by default of real
-        shapes.
-
-        Distances above ``_CLEAR`` are not computed.
-        """
-        shares = np.linspace(0.0, 1.0, 1 if np.array_equal(start, end) else _WAY)
-        ways = (self.whole(start + share * (end - start)) for share in shares)
-        found = ((shapes or self.clearance).nearest(q, below=_CLEAR) for q in ways)
-        return min(found, key=lambda each: each.distance)
-
-    def _stiffness(self, values: np.ndarray) -> float:
-        """Return how far a posture (m) is from dexterous and outstretched: the ratio of the
-        singular values of the tip, divided by its distance from the base.
-        """
-        self.plant.SetPositions(self.true.context, self.whole(values))
-        base = base_body(self.plant).body_frame()
-        jacobian = self.plant.CalcJacobianSpatialVelocity(
-            self.true.context, JacobianWrtVariable.kV, self.tip, np.zeros(3), base, base
-        )[:, NUM_BASE_VELOCITIES + self.moving]
-        jacobian[3:] /= self.reach
-        jacobian[:, self.slides] *= self.reach  # a metre of stroke counts as a radian
-        singular = np.linalg.svd(jacobian, compute_uv=False)
-        away = np.linalg.norm(self.tip.CalcPoseInWorld(self.true.context).translation())
-        return float(singular[0] / max(singular[-1] * away, 1e-9))
 
 
 def _written(data: dict[str, Any]) -> dict[str, Any]:

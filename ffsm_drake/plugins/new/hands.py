@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.tree import Frame, JacobianWrtVariable
+from pydrake.multibody.tree import Frame
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.files import write_text
@@ -22,11 +22,12 @@ from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.so3 import cross, rotation_error
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.remarks import plan_clearance
+from ffsm_drake.plugins.new.postures import CLEAR, Postures
 from ffsm_drake.plugins.new.urdf.formats.building import text
 from ffsm_drake.plugins.new.urdf.target import SECOND, Target
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.plant import base_body, find_frame
+from ffsm_drake.spacecraft.plant import find_frame
 from ffsm_drake.systems.reference import make_motion
 
 _CONTACTS = ("first", "second")  # their names
@@ -51,16 +52,15 @@ class _Hold:
     distance: float = np.inf  # m, of the parts
 
 
-class Hands:
+class Hands(Postures):
     """The search for postures in which two hands hold a target, and for a motion between two."""
 
-    def __init__(self, draft: Any, target: Target, *, clear: float) -> None:
+    def __init__(self, draft: Any, target: Target) -> None:
         """Prepare the search.
 
         Args:
           draft: the present scenario (``Draft``).
           target: the target; a target from a file needs a frame for the second hand.
-          clear: distance that parts should keep, m.
 
         Raises ScenarioError: an arm has too few joints of its own, or a file has only one frame.
         """
@@ -68,31 +68,29 @@ class Hands:
             raise ScenarioError(
                 "--target", f"has one frame to hold it by, and two hands need another, '{SECOND}'"
             )
-        servicer, self._draft, self._target, self._clear = draft.servicer, draft, target, clear
-        self._plant, self._context = draft.true.plant, draft.true.context
-        self._tips = servicer.tip, servicer.second
+        super().__init__(draft)
+        self._draft, self._target = draft, target
+        self._tips = draft.servicer.tip, draft.servicer.second
         self._hands = [self._frame(f"servicer::{tip.frame}") for tip in self._tips]
         self._body = self._frame(f"debris::{target.body}")
         hands = [f"servicer::{tip.frame}" for tip in self._tips]
         model = draft.scenario.model
         self._shapes = Clearance(model, flexible=True, invented=True, hands=hands)
-        names = draft.coordinates.joints
-        self._arms = [np.array([names.index(name) for name in tip.joints]) for tip in self._tips]
+        self._arms = [
+            np.array([self.names.index(name) for name in tip.joints]) for tip in self._tips
+        ]
         own = [np.setdiff1d(one, other) for one, other in itertools.permutations(self._arms, 2)]
         self._second = own[1]
-        joint = self._plant.GetJointByName(names[self._second[0]]) if own[1].size else None
+        joint = self.plant.GetJointByName(self.names[self._second[0]]) if own[1].size else None
         self._shoulder = self._body if joint is None else joint.frame_on_parent()
-        named = {joint.name: joint for joint in servicer.joints}
-        joints = [named[name] for name in names]
-        self._rest = np.round([joint.rest for joint in joints], 3)
-        self._low, self._high = np.array([joint.range for joint in joints]).T
+        self.rest = np.round(self.rest, 3)
         self._random = np.random.default_rng(0)
         self._drawings = self._steps = self._ways = self._motions = 0  # done so far
         # directions of the second hand's twist in the target's frame that postures can move
         parts = list[np.ndarray]()
         for _ in range(4):
-            self._set(self._drawn())
-            parts.append(self._jacobian(self._hands[1], self._body))
+            self.set(self._drawn())
+            parts.append(self.jacobian(self._hands[1], self._body))
         directions, sizes, _ = np.linalg.svd(np.hstack(parts))
         self._rows = directions[:, : int((sizes > 1e-9 * sizes[0]).sum())].T
         for tip, alone in zip(self._tips, own, strict=True):
@@ -106,15 +104,7 @@ class Hands:
                 )
 
     def _frame(self, name: str) -> Frame:
-        return find_frame(self._plant, name, key="--tips")
-
-    def _jacobian(self, frame: Frame, other: Frame) -> np.ndarray:
-        """Return the twist (6) of a frame in another, in its axes, per joint rate; rad/s, m/s."""
-        jacobian = self._plant.CalcJacobianSpatialVelocity(
-            self._context, JacobianWrtVariable.kV, frame, np.zeros(3), other, other
-        )
-        found: np.ndarray = jacobian[:, NUM_BASE_VELOCITIES:]
-        return found
+        return find_frame(self.plant, name, key="--tips")
 
     def place(self) -> bool:
         """Choose contacts, postures and a duration.
@@ -145,7 +135,7 @@ class Hands:
                 name: {"effector": f"servicer::{tip.frame}", "frame": f"debris::{frame}"}
                 for name, tip, frame in zip(_CONTACTS, self._tips, frames, strict=True)
             }
-            draft.data["target_posture"]["joints"] = self._by_name(hold.joints)
+            draft.data["target_posture"]["joints"] = self.by_name(hold.joints)
             if hold.distance < 0.0:
                 draft.touching = "no posture of both hands that is free of contact was found"
             with step(lambda: f"motion {self._motions} of at most {_MOST_MOTIONS} of both hands"):
@@ -165,7 +155,7 @@ class Hands:
         for hold in self._holds():
             distance = self._distance(hold.joints)
             one = dataclasses.replace(hold, distance=distance)
-            if distance >= self._clear:
+            if distance >= CLEAR:
                 found.append(one)
             elif not nearest or distance > nearest[0].distance:
                 nearest = [one]
@@ -178,31 +168,31 @@ class Hands:
         for self._drawings in range(1, _DRAWN + 1):
             if self._steps >= _MOST_STEPS:
                 return
-            joints = self._rest.copy()
+            joints = self.rest.copy()
             joints[first] = np.round(self._drawn()[first], 3)
-            dexterity = self._dexterity(0, joints)
+            dexterity = self._least(0, joints)
             if dexterity < _DEXTROUS:
                 continue
             places = self._places()
-            starts = [self._rest, *(self._drawn() for _ in range(_TRIALS // len(places)))]
+            starts = [self.rest, *(self._drawn() for _ in range(_TRIALS // len(places)))]
             for X_PG, start in itertools.product(places, starts):
                 joints[self._second] = start[self._second]
                 both = self._reached(joints, X_PG, turned=self._target.second is None)
-                if both is None or (least := self._dexterity(1, both)) < _DEXTROUS:
+                if both is None or (least := self._least(1, both)) < _DEXTROUS:
                     continue
                 yield _Hold(joints=both, place=self._place(), dexterity=min(dexterity, least))
                 break
 
     def _place(self) -> RigidTransform:
         """Return the pose of the second hand in the frame of the target."""
-        pose: RigidTransform = self._hands[1].CalcPose(self._context, self._body)
+        pose: RigidTransform = self._hands[1].CalcPose(self.context, self._body)
         return pose
 
     def _places(self) -> list[RigidTransform]:
         """Return poses of the second hand in the frame of the target at which it may hold it."""
         if self._target.second is not None:
             frame = self._frame(f"debris::{self._target.second}")
-            return [frame.CalcPose(self._context, self._body)]
+            return [frame.CalcPose(self.context, self._body)]
         side = self._target.side or 0.0
         inward = ((0, 0, -1), (-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0))
         found = [(np.array(z, dtype=float), -0.5 * side * np.array(z)) for z in inward]
@@ -227,8 +217,8 @@ class Hands:
         goal, kept = R_PG.ToQuaternion().wxyz(), np.eye(6)
         if turned:
             kept[:3, :3] -= np.outer(z, z)
-        self._set(joints)
-        shoulder = self._shoulder.CalcPose(self._context, self._body).translation()
+        self.set(joints)
+        shoulder = self._shoulder.CalcPose(self.context, self._body).translation()
         if np.linalg.norm(X_PG.translation() - shoulder) > tip.reach:
             return None
         sizes = list[float]()
@@ -250,21 +240,18 @@ class Hands:
             sizes.append(float(np.linalg.norm(wanted)))
             if len(sizes) > _SLOW[0] and sizes[-1] > _SLOW[1] * sizes[-1 - _SLOW[0]]:
                 return None
-            jacobian = self._rows @ kept @ self._jacobian(self._hands[1], self._body)[:, second]
+            jacobian = self._rows @ kept @ self.jacobian(self._hands[1], self._body)[:, second]
             step = np.linalg.lstsq(jacobian, wanted, rcond=1e-6)[0]
             step *= min(1.0, _LONGEST / max(np.abs(step).max(), 1e-300))
-            joints[second] = np.clip(joints[second] + step, self._low[second], self._high[second])
-            self._set(joints)
+            joints[second] = np.clip(joints[second] + step, self.low[second], self.high[second])
+            self.set(joints)
         return None
 
-    def _dexterity(self, arm: int, joints: np.ndarray) -> float:
+    def _least(self, arm: int, joints: np.ndarray) -> float:
         """Return the least singular value of the motions of an arm."""
-        self._set(joints)
-        base = base_body(self._plant).body_frame()
-        jacobian = self._jacobian(self._hands[arm], base)[:, self._arms[arm]]
-        jacobian[3:] /= max(self._tips[arm].reach, 1e-3)
-        singular = np.linalg.svd(jacobian, compute_uv=False)
-        return float(singular[len(self._rows) - 1])
+        tip = self._tips[arm]
+        found = self.dexterity(joints, self._hands[arm], self._arms[arm], tip.reach)
+        return float(found[len(self._rows) - 1])
 
     def _start(self, hold: _Hold) -> bool:
         """Choose an initial posture from which both hands move the target to a hold, and a
@@ -284,9 +271,9 @@ class Hands:
             closed = self._reached(begin, hold.place, turned=False)
             if closed is None or not self._is_within(closed):
                 continue
-            if self._distance(closed) < min(self._clear, hold.distance):
+            if self._distance(closed) < min(CLEAR, hold.distance):
                 continue
-            data["initial_posture"]["joints"] = self._by_name(np.round(closed, 6))
+            data["initial_posture"]["joints"] = self.by_name(np.round(closed, 6))
             scenario = draft.scenario
             self._motions += 1
             try:
@@ -300,13 +287,13 @@ class Hands:
             if best is None or near > best[0]:
                 rates = np.abs(rows[:, -2 * n - NUM_BASE_VELOCITIES :][:, :n]).max(axis=0)
                 best = near, closed, rates
-            if near >= min(self._clear, hold.distance):
+            if near >= min(CLEAR, hold.distance):
                 break
         if best is None:
             return False
         near, start, rates = best
-        data["initial_posture"]["joints"] = self._by_name(np.round(start, 6))
-        slow = max(rate / draft.rate_of(joint) for joint, rate in self._by_name(rates).items())
+        data["initial_posture"]["joints"] = self.by_name(np.round(start, 6))
+        slow = max(rate / draft.rate_of(joint) for joint, rate in self.by_name(rates).items())
         data["reference"]["duration"] *= max(1.0, slow)
         if near < 0.0 and not draft.touching:
             draft.touching = f"no motion free of contact was found: parts overlap by {-near:.3g} m"
@@ -314,22 +301,11 @@ class Hands:
 
     def _is_within(self, joints: np.ndarray) -> bool:
         """Whether joints (..., n) are within their limits."""
-        return bool(((joints > self._low - _SLACK) & (joints < self._high + _SLACK)).all())
+        return bool(((joints > self.low - _SLACK) & (joints < self.high + _SLACK)).all())
 
     def _distance(self, joints: np.ndarray) -> float:
-        """Return the smallest distance of parts, m; distances above ``clear`` are not computed."""
-        return self._shapes.nearest(self._whole(joints), below=self._clear).distance
+        """Return the smallest distance of parts, m; distances above ``CLEAR`` are not computed."""
+        return self._shapes.nearest(self.whole(joints), below=CLEAR).distance
 
     def _drawn(self) -> np.ndarray:
-        return self._random.uniform(self._low, self._high)
-
-    def _set(self, joints: np.ndarray) -> None:
-        self._plant.SetPositions(self._context, self._whole(joints))
-
-    @staticmethod
-    def _whole(joints: np.ndarray) -> np.ndarray:
-        """The configuration (nq) with the base at the origin."""
-        return np.concatenate([[1.0], np.zeros(NUM_BASE_POSITIONS - 1), joints])
-
-    def _by_name(self, joints: np.ndarray) -> dict[str, float]:
-        return dict(zip(self._draft.coordinates.joints, joints.tolist(), strict=True))
+        return self._random.uniform(self.low, self.high)

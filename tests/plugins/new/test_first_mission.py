@@ -20,8 +20,8 @@ from ffsm_drake.cli import main
 from ffsm_drake.common.errors import FfsmError, ScenarioError
 from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.plugins.new.asked import Asked, WheelData
-from ffsm_drake.plugins.new.first_mission import _Arm
 from ffsm_drake.plugins.new.first_scenario import new_scenario
+from ffsm_drake.plugins.new.postures import Arm
 from ffsm_drake.plugins.new.urdf.servicer import read_urdf
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import thrusters_of
@@ -281,12 +281,12 @@ def test_the_best_posture_is_that_of_real_shapes(seed, tmp_path):
     made = types.SimpleNamespace(
         true=true, scenario=scenario, servicer=servicer, coordinates=true.coordinates
     )
-    arm, rng, shapes = _Arm(made), np.random.default_rng(seed), Clearance(scenario.model)
+    arm, rng, shapes = Arm(made), np.random.default_rng(seed), Clearance(scenario.model)
 
     def distance(joints):
-        return shapes.nearest(arm.whole(joints)).distance
+        return shapes.nearest(arm.whole(arm.filled(joints))).distance
 
-    low, high = arm.limits.T
+    low, high = arm.low[arm.moving], arm.high[arm.moving]
     candidates = [*(low + (high - low) * rng.random((12, low.size)))]
     assert min(map(distance, candidates)) < 0.0  # otherwise any would do
     assert distance(*arm.best(candidates)) >= min(max(map(distance, candidates)) - 2e-3, 0.05)

@@ -108,7 +108,7 @@ def add_visual(
     set_origin(visual, pose)
     SubElement(SubElement(visual, "geometry"), kind, size)
     if color is not None:
-        rgba = text(np.round(color, 4))
+        rgba = text(np.round(np.asarray(color), 4))
         color_visual(visual, rgba, rgba)
 
 

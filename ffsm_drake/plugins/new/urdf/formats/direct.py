@@ -109,23 +109,20 @@ def _differences(root: Element, ours: MultibodyPlant, theirs: MultibodyPlant) ->
         name = name_of(element)
         if name not in own:  # fixed
             continue
-        one, two = own[name], other[name]
-        dynamics, place = element.find("dynamics"), f"joint '{name}'"
+        one, two, place = own[name], other[name], f"joint '{name}'"
+        dynamics = element.find("dynamics")
         friction = 0.0 if dynamics is None else number(dynamics, "friction", place, "0")
-        if friction:
-            yield f"{place} without its friction of {friction:.4g}"
-        if not _same(one.default_damping(), two.default_damping()):
-            yield f"{place} with damping of {two.default_damping():.4g}, not as the file means it"
         lower, upper, effort, velocity = read_limits(element)
-        limits = {
-            "lower position": (lower, two.position_lower_limits()[0]),
-            "upper position": (upper, two.position_upper_limits()[0]),
-            "velocity": (velocity, two.velocity_upper_limits()[0] or np.inf),  # as ``read_limits``
-            "effort": (effort, _effort(theirs, two)),
-        }
-        for kind, (wanted, read) in limits.items():
+        for what, wanted, read in (
+            ("friction", friction, 0.0),
+            ("damping", one.default_damping(), two.default_damping()),
+            ("lower position limit", lower, two.position_lower_limits()[0]),
+            ("upper position limit", upper, two.position_upper_limits()[0]),
+            ("velocity limit", velocity, two.velocity_upper_limits()[0] or np.inf),
+            ("effort limit", effort, _effort(theirs, two)),
+        ):
             if not _same(wanted, read):
-                yield f"{place} with the {kind} limit {read:.4g}, not {wanted:.4g}"
+                yield f"{place} with a {what} of {read:.4g}, not {wanted:.4g}"
     free = [{plant.get_body(k).name() for k in plant.GetFloatingBaseBodies()}
             for plant in (ours, theirs)]  # fmt: skip
     if free[0] != free[1]:
