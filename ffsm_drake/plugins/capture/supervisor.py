@@ -13,11 +13,8 @@ every limit. The law restarts. Before the grasp, it replans immediately, without
 damping, back to the start of the approach.
 """
 
-import dataclasses
-import enum
 import functools
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from pydrake.systems.framework import (
@@ -28,50 +25,13 @@ from pydrake.systems.framework import (
     LeafSystem,
 )
 
-from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.plugins.capture.approach import approach_posture, force_share
-from ffsm_drake.scenario import Reference, Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.spacecraft.plant import posture_of
-from ffsm_drake.systems.blend import Blend
-from ffsm_drake.systems.limits import actuation_limit
+from ffsm_drake.plugins.capture.modes import Cause, Mode, Supervising, Supervisor, supervising
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.part import STEPS, Figure, Metric, Part, Signal, Signals, View
 from ffsm_drake.systems.planned_motion import PlannedMotion
-from ffsm_drake.systems.polynomial_motion import PolynomialMotion
-from ffsm_drake.systems.reference import make_motion
-from ffsm_drake.systems.sampled import Arrays, Now, Sampled, SampledSystem
+from ffsm_drake.systems.sampled import SampledSystem
 from ffsm_drake.systems.setup import BlockSetup
-
-_SHORTEST, _GROWTH, _LONGEST = 5.0, 1.15, 600.0  # s, of a new plan
-_INSTANTS = 41  # number of instants of a plan at which its force is compared with the limits
-
-
-class Mode(enum.IntEnum):
-    """Mode of a loop."""
-
-    APPROACH = 0
-    GRASP = 1  # the sample of the grasp
-    STOP = 2  # the motion with the target held
-    HOLD = 3  # its end posture
-    RATE_DAMPING = 4
-    RETREAT = 5
-
-    @property
-    def words(self) -> str:
-        """As the report has it."""
-        return self.name.lower().replace("_", " ")
-
-
-class Cause(enum.IntEnum):
-    """Reason for which the plan was abandoned."""
-
-    NONE = 0
-    SATURATED = 1
-    ERROR = 2
-    RATE = 3
-    REQUEST = 4
 
 
 class SupervisorPart(Part):
@@ -99,7 +59,7 @@ class SupervisorPart(Part):
 
     def supervisor(self, setup: BlockSetup) -> "Supervisor":
         """Return what the block does. Raises ScenarioError: no force has a limit."""
-        block = _block(setup, begin=self._begin, waits=self._waits)
+        block = supervising(setup, begin=self._begin, waits=self._waits)
         return Supervisor(block=block, scenario=setup.scenario, coordinates=setup.coordinates)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
@@ -172,289 +132,6 @@ def _events(run: View) -> Iterator[tuple[float, Mode]]:
     modes = np.asarray(run["mode"]).astype(int).ravel()
     for k in np.flatnonzero(np.diff(modes, prepend=-1)):
         yield float(run.time[k]), Mode(int(modes[k]))
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Supervising(Sampled):
-    """The mode logic. ``Supervisor`` makes its new plans.
-
-    Inputs: ``estimated_state``, ``desired_state``, ``generalized_force`` of the law at the sample
-    before, and ``abort_request``. Phase: the mode along the plan, and whether the gripper is empty.
-
-    Outputs are the entries of its memory that ``outputs`` names, and ``asks``: 1 if the sample must
-    be repeated with an answer (a plan, or that there is none) in the memory before it, which
-    ``Supervisor.answered`` returns.
-    """
-
-    model: PlantModel  # the nominal one
-    largest: np.ndarray  # limits (nv) of the force that saturates
-    limit: np.ndarray  # limits (nv) of the damping force
-    error: np.ndarray  # bounds (nv)
-    rate: np.ndarray
-    is_bounded: bool
-    waits: bool
-    saturated_time: np.ndarray  # s
-    damping: np.ndarray  # 1/s
-    share: np.ndarray  # of the low pass, in a sample
-    end_share: np.ndarray
-    end_time: np.ndarray  # s
-    sample_time: float  # s
-    grasp_time: float  # s
-    end: float  # s, of the scenario's own motion
-    is_empty: bool  # the gripper
-    in_phase: ClassVar = ("grasp_time", "end", "is_empty")
-    optional: ClassVar = ("abort_request",)
-
-    @property
-    def inputs(self) -> Mapping[str, int]:
-        """See Sampled."""
-        nv = len(self.largest)
-        return dict.fromkeys(("estimated_state", "desired_state"), 2 * nv + 1) | {
-            "generalized_force": nv, "abort_request": 1,
-        }  # fmt: skip
-
-    @property
-    def outputs(self) -> Mapping[str, int]:
-        """See Sampled."""
-        nv = len(self.largest)
-        return {
-            "mode": 1, "mode_cause": 1, "restart": 1, "force": nv, "held": 2 * nv + 1,
-            "plan": 2 * nv + 4, "asks": 1,
-        }  # fmt: skip
-
-    def start(self, state: np.ndarray | None = None) -> Arrays:
-        """See Sampled. First entry, ``restart``: 1 while the law restarts and ``force`` acts."""
-        sizes = {name: size for name, size in self.outputs.items() if name != "asks"}
-        # time of saturation and of little force, s; number of plans; request before; answer: 1 a
-        # plan, 2 none
-        sizes |= dict.fromkeys(("over", "quiet", "plans", "asked", "answer"), 1)
-        sizes = {"restart": 1, **sizes, "filtered": sizes["force"]}
-        return {name: np.zeros(size) for name, size in sizes.items()}
-
-    def phase(self, sample: Any) -> Sequence[Any]:
-        """``modes`` along the scenario's own plan."""
-        return self.modes(self.sample_time * np.asarray(sample), np.zeros(3))
-
-    def modes(self, times: np.ndarray, plan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The mode at times (s) along a new plan (or zeros), and whether the gripper is empty."""
-        half = 0.5 * self.sample_time
-        is_empty = self.is_empty | (times < self.grasp_time - half)
-        end = plan[0] + plan[1] if plan[1] else self.end
-        modes = np.where(times < end - 1e-9, Mode.STOP, Mode.HOLD)
-        if plan[1]:
-            modes = np.full_like(modes, Mode.RETREAT) if plan[2] else modes
-        else:
-            is_grasp = (self.grasp_time > 0.0) & (times < self.grasp_time + half)
-            modes = np.where(is_grasp, Mode.GRASP, modes)
-            modes = np.where(is_empty, Mode.APPROACH, modes)
-        return modes, is_empty
-
-    def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
-        """See Sampled."""
-        mode, is_empty = (np.reshape(each, 1) for each in now.phase)
-        state, command = inputs["estimated_state"], inputs["generalized_force"]
-        was_damping = memory["mode"] == float(Mode.RATE_DAMPING)
-        cause, after = self._causes(inputs, memory, was_damping)
-        acts = cause != 0.0
-        after["over"] = np.where(acts, 0.0, after["over"])
-        is_planned = memory["answer"] == 1.0
-        flees = acts & (is_empty != 0.0)
-        retreats = flees & is_planned
-        damps = was_damping | (acts & ~retreats)
-
-        q, v = np.split(state, [len(state) - len(command)])
-        wanted = self.damping * (self.model.calc_mass_matrix(q) @ v)
-        damping = -(1.0 / np.maximum(1.0, (np.abs(wanted) / self.limit).max())) * wanted
-        filtered = np.where(was_damping, memory["filtered"], wanted)
-        filtered = filtered + self.share * (wanted - filtered)
-        is_quiet = (np.abs(filtered) <= self.end_share * self.limit).all()
-        quiet = np.where(acts, 0.0, memory["quiet"])
-        quiet = np.where(damps, np.where(is_quiet, quiet + self.sample_time, 0.0), quiet)
-        is_over = damps & (quiet >= self.end_time - 1e-9)
-        is_planned = is_planned & (is_over | retreats)
-
-        clipped = np.clip(command, -self.limit, self.limit)
-        after |= {
-            "mode": np.where(damps & ~is_planned, float(Mode.RATE_DAMPING), mode),
-            "mode_cause": np.where(acts, cause, memory["mode_cause"]),
-            "restart": np.where(damps | retreats, 1.0, 0.0),
-            "force": np.where(damps, damping, np.where(retreats, clipped, memory["force"])),
-            "held": np.where(damps, state, memory["held"]),
-            "filtered": np.where(damps, filtered, memory["filtered"]),
-            "quiet": np.where(is_over, 0.0, quiet),  # without a plan damping goes on
-            "plans": memory["plans"] + np.where(is_planned, 1.0, 0.0),
-            "plan": memory["plan"], "answer": np.zeros_like(memory["answer"]),
-        }  # fmt: skip
-        asks = (flees | is_over) & (memory["answer"] == 0.0)
-        after = {name: after[name] for name in memory}
-        outputs = {name: after[name] for name in self.outputs if name != "asks"}
-        return outputs | {"asks": np.where(asks, 1.0, 0.0)}, after
-
-    @staticmethod
-    def follow(
-        memory: Arrays, desired: np.ndarray, acceleration: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return what the law follows in place of a plan: in rate damping the state last measured.
-
-        Args: the memory before a sample, and the plan then.
-        """
-        damps = memory["mode"] == float(Mode.RATE_DAMPING)
-        return np.where(damps, memory["held"], desired), np.where(damps, 0.0, acceleration)
-
-    @staticmethod
-    def give(memory: Arrays, force: np.ndarray) -> np.ndarray:
-        """Return the command in place of the law's force. Args: the memory after a sample."""
-        return np.where(memory["restart"] != 0.0, memory["force"], force)
-
-    def _causes(
-        self, inputs: Arrays, memory: Arrays, was_damping: np.ndarray
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-        """The cause (1) to act, and memory after the sample."""
-        cause, over, asked = np.zeros_like(memory["over"]), memory["over"], memory["asked"]
-        if self.waits:
-            return cause, {"over": over, "asked": asked}
-        step, is_over = self.sample_time, np.abs(inputs["generalized_force"]) > self.largest
-        longer = np.maximum(0.0, over + np.where(is_over.any(), step, -step))
-        # a force that was not commanded does not count
-        longer = np.where(memory["restart"] != 0.0, over, longer)
-        if self.is_bounded:
-            errors = self.model.calc_tracking_errors(
-                inputs["desired_state"], inputs["estimated_state"], len(self.largest) + 1
-            )
-            for each, bound, error in zip(
-                (Cause.RATE, Cause.ERROR), (self.rate, self.error), errors[::-1], strict=True
-            ):
-                cause = np.where((np.abs(error) > bound).any(), float(each), cause)
-        is_long = longer > self.saturated_time + 1e-9
-        cause = np.where(is_long, float(Cause.SATURATED), cause)
-        asks = np.where(inputs.get("abort_request", np.zeros(1)) > 0.5, 1.0, 0.0)
-        cause = np.where((asks != 0.0) & (asked == 0.0), float(Cause.REQUEST), cause)
-        return np.where(was_damping, 0.0, cause), {
-            "over": np.where(was_damping, over, longer),
-            "asked": np.where(was_damping, asked, asks),
-        }
-
-
-def _block(setup: BlockSetup, *, begin: float, waits: bool) -> Supervising:
-    """Raises ScenarioError: no force has a limit."""
-    scenario, coordinates, settings = setup.scenario, setup.coordinates, setup.scenario.supervisor
-    assert settings is not None
-    largest, limit = (
-        actuation_limit(scenario, coordinates, helped=helped).upper for helped in (True, False)
-    )
-    if not np.isfinite(limit).any():
-        raise ScenarioError(
-            "supervisor",
-            "cannot detect saturation, because no force has a limit; set actuation.limit, "
-            "actuation.thrusters or actuation.wheels",
-        )
-    error, rate = (
-        coordinates.vector(given or {}, key=f"supervisor.{name}", default=np.inf)
-        for name, given in (("error", settings.error), ("rate", settings.rate))
-    )
-    rest = scenario.planned_end  # of the scenario's own motion, s
-    return Supervising(
-        model=setup.nominal,
-        largest=largest,
-        limit=limit,
-        error=error,
-        rate=rate,
-        is_bounded=bool(np.isfinite([error, rate]).any()),
-        waits=waits,
-        saturated_time=np.array(settings.saturated_time),
-        damping=np.array(settings.damping),
-        share=np.array(min(1.0, setup.sample_time / settings.filter_time)),
-        end_share=np.array(settings.end_share),
-        end_time=np.array(settings.end_time),
-        sample_time=setup.sample_time,
-        grasp_time=begin + scenario.grasp_time,
-        end=begin + (make_motion(scenario, coordinates, setup.grip).end if rest is None else rest),
-        is_empty=not setup.grip.holds,
-    )
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Supervisor(Sampled):
-    """The supervisor with its plans."""
-
-    block: Supervising
-    scenario: Scenario
-    coordinates: Coordinates
-    optional: ClassVar = Supervising.optional
-
-    @property
-    def inputs(self) -> Mapping[str, int]:
-        """See Sampled."""
-        return self.block.inputs
-
-    @property
-    def outputs(self) -> Mapping[str, int]:
-        """See Sampled."""
-        return self.block.outputs
-
-    def start(self, state: np.ndarray | None = None) -> Arrays:
-        """See Sampled."""
-        return self.block.start(state)
-
-    def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
-        """See Sampled."""
-        time = np.array([now.time])
-        while True:
-            now = now._replace(phase=self.block.modes(time, memory["plan"]))
-            outputs, after = self.block.step(inputs, memory, now)
-            if not outputs["asks"][0]:
-                return outputs, after
-            memory = self.answered(memory, inputs["estimated_state"], now.time)
-
-    def answered(self, memory: Arrays, state: np.ndarray, time: float) -> dict[str, np.ndarray]:
-        """Return the memory before a sample that asks, with the plan from its measured state."""
-        found = plan_anew(self, state, time, plans=int(memory["plans"][0]))
-        if found is None:
-            return {**memory, "answer": np.array([2.0])}
-        return {**memory, "answer": np.array([1.0]), "plan": found}
-
-    def motion(self, plan: np.ndarray) -> PolynomialMotion:
-        """The motion of a new plan [begin; duration; retreats; q; v] from a state to rest, as a
-        function of the time since its begin.
-        """
-        scenario, coordinates, duration = self.scenario, self.coordinates, float(plan[1])
-        q, v = np.split(plan[3:].copy(), [len(coordinates.position_names)])
-        goal = None if scenario.reference.goal == "stop" else scenario.target_posture
-        if plan[2] and scenario.grasp_time > 0.0:
-            goal = approach_posture(scenario)
-        return PolynomialMotion(
-            coordinates=coordinates,
-            start=posture_of(q, coordinates),
-            target=goal,
-            blend=Blend(Reference(), duration),
-            base_rotation="eigenaxis",
-            sample_time=scenario.sample_time,
-            velocity=v,
-        )
-
-
-def plan_anew(
-    supervisor: Supervisor, state: np.ndarray, time: float, *, plans: int
-) -> np.ndarray | None:
-    """Return a plan from the measured state after a number of others. If no plan is within its
-    share of the limits: None, or with an empty gripper the plan with the least use of them, because
-    rate damping would not hold joints with small inertia against the disturbance.
-    """
-    block, settings = supervisor.block, supervisor.scenario.supervisor
-    assert settings is not None
-    most = settings.plan_share * settings.retry_factor**plans * block.limit
-    retreats, duration = bool(block.modes(np.array(time), np.zeros(3))[1]), _SHORTEST
-    least, gentlest = np.inf, None
-    while duration <= _LONGEST:
-        plan = np.concatenate([[time, duration, retreats], state])
-        rows = supervisor.motion(plan).rows(np.linspace(0.0, duration, _INSTANTS))
-        share = force_share(block.model, rows, most)
-        if share <= 1.0:
-            return plan
-        if retreats and share < least:
-            least, gentlest = share, plan
-        duration *= _GROWTH
-    return gentlest
 
 
 class _System(Diagram):

@@ -9,7 +9,7 @@ from outside_urdfs import TURN, joint, link, robot
 
 from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
-from ffsm_drake.plugins.capture.supervisor import Mode
+from ffsm_drake.plugins.capture.modes import Mode
 from ffsm_drake.plugins.design.stability.rehearsal import is_near_limits
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.runs.ending import Outcome, ending_of

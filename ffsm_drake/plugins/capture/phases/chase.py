@@ -8,7 +8,8 @@ import numpy as np
 
 from ffsm_drake.plugins.capture.free_body import Target
 from ffsm_drake.plugins.capture.grasping import Aim, Meeting, target_at
-from ffsm_drake.plugins.capture.supervisor import Mode, SupervisorPart
+from ffsm_drake.plugins.capture.modes import Mode
+from ffsm_drake.plugins.capture.supervisor import SupervisorPart
 from ffsm_drake.plugins.capture.target_filter import Path
 from ffsm_drake.plugins.capture.tracked_target import Approached, TrackedTarget
 from ffsm_drake.runs.ending import MISSED, Outcome
