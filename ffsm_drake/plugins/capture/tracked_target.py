@@ -54,6 +54,7 @@ class Approached:
     motion: np.ndarray  # (13) of the target then, as planned
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class TrackedTarget(Part):
     """The reference that follows a target's estimate."""
 
@@ -61,30 +62,14 @@ class TrackedTarget(Part):
     section = "Target estimate"
     about = "Errors of the estimated target at the time of the last image, and 3 deviations."
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        grasp: Capture,
-        measured: Measured,
-        path: np.ndarray,
-        expected: Target,
-        *,
-        motion: PlannedMotion | None = None,
-        approached: Approached | None = None,
-        sees: bool = True,
-    ) -> None:
-        """Args:
-        scenario: the run's scenario.
-        grasp, measured: settings in it.
-        path: motion (n, 13) of the true target at the control samples.
-        expected: the target as it is expected at the start.
-        motion: what is displaced; None: the scenario's own motion.
-        approached: goal of the displacement; None: nothing is displaced.
-        sees: whether there are images.
-        """
-        self.scenario, self.grasp, self.measured = scenario, grasp, measured
-        self.path, self.expected, self.motion = path, expected, motion
-        self.approached, self.sees = approached, sees
+    scenario: Scenario  # of the run
+    grasp: Capture  # settings in it
+    measured: Measured
+    path: np.ndarray  # (n, 13) motion of the true target at the control samples
+    expected: Target  # at the start
+    motion: PlannedMotion | None  # what is displaced; None: the scenario's own motion
+    approached: Approached | None  # goal of the displacement; None: nothing is displaced
+    sees: bool  # whether there are images
 
     def build(self, setup: BlockSetup) -> Any:
         """The block, whose Drake system is made around it."""

@@ -136,11 +136,11 @@ class Chase:
             motion=self.aim.expected,
         )
         part = TrackedTarget(
-            self.scenario,
-            self.capture,
-            measured,
-            self.path,
-            self.expected,
+            scenario=self.scenario,
+            grasp=self.capture,
+            measured=measured,
+            path=self.path,
+            expected=self.expected,
             motion=motion,
             approached=approached if follows else None,
             sees=sees,
