@@ -251,38 +251,26 @@ def target_path(
         turn, way = np.split(0.5 * closing.duration * (planned.target_velocity - arm), 2)
         rotation = RotationMatrix(Quaternion(quaternion_of(turn))) @ X_WP.rotation()
         X_WP = RigidTransform(rotation, X_WP.translation() + way)
+    pose = np.concatenate([X_WP.rotation().ToQuaternion().wxyz(), X_WP.translation()])
+    motion = np.concatenate([pose, planned.target_velocity])
     samples = round(scenario.grasp_time / scenario.sample_time)
-    return X_WP, coast(
-        scenario,
-        X_WP,
-        planned.target_velocity,
-        time=scenario.grasp_time,
-        samples=samples,
-    )
+    return X_WP, coast(scenario, motion, time=scenario.grasp_time, samples=samples)
 
 
 def coast(
-    scenario: Scenario,
-    X_WP: RigidTransform,
-    twist: np.ndarray,
-    *,
-    time: float,
-    samples: int,
-    onward: bool = False,
+    scenario: Scenario, motion: np.ndarray, *, time: float, samples: int, onward: bool = False
 ) -> np.ndarray:
-    """The motion (samples, 13; quaternion, p_WP, w_WP, v_WP) of a free target before a given pose
-    and velocity, or ``onward`` from there; in the orbit of ``environment``, if there is one.
+    """The motion (samples, 13; quaternion, p_WP, w_WP, v_WP) of a free target before a given one
+    (13), or ``onward`` from there; in the orbit of ``environment``, if there is one.
 
     Args:
       scenario: with the target's true mass properties and the sample time.
-      X_WP, twist: pose and [w_WP; v_WP] (6) one sample after the last; onward, at the first.
-      time: of that pose, s.
+      motion: one sample after the last; onward, at the first.
+      time: of that, s.
       samples: how many.
     """
-    motion = np.concatenate([X_WP.rotation().ToQuaternion().wxyz(), X_WP.translation(), twist])
-    target = Target.from_motion(motion, scenario.payload.truth)
     found = path_of(
-        target,
+        Target.from_motion(motion, scenario.payload.truth),
         time,
         period=scenario.sample_time if onward else -scenario.sample_time,
         samples=samples if onward else samples + 1,

@@ -215,7 +215,8 @@ def test_a_free_target_keeps_its_momentum_and_energy():
     )
     twist = np.array([0.1, -0.2, 0.15, 0.02, 0.01, -0.03])
     scenario = Scenario(payload=Payload(truth=properties), sample_time=0.01)
-    states = coast(scenario, X_WP, twist, time=10.0, samples=1000)
+    at_grasp = [*X_WP.rotation().ToQuaternion().wxyz(), *X_WP.translation()]
+    states = coast(scenario, np.array([*at_grasp, *twist]), time=10.0, samples=1000)
     assert states.shape == (1000, 13)
 
     def kept(q, v):
@@ -223,7 +224,6 @@ def test_a_free_target_keeps_its_momentum_and_energy():
         momentum = spatial_inertia(properties).ReExpress(turn).CopyToFullMatrix6() @ v
         return [*(momentum[:3] + np.cross(q[4:], momentum[3:])), *momentum[3:], momentum @ v]
 
-    at_grasp = [*X_WP.rotation().ToQuaternion().wxyz(), *X_WP.translation()]
     expected = kept(np.array(at_grasp), twist)
     for state in states[::111]:
         assert_allclose(kept(state[:7], state[7:]), expected, rtol=1e-7)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydrake.math import RigidTransform, RotationMatrix
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
@@ -162,9 +161,7 @@ def coasted(target, environment=None, samples=101, time=0.0, onward=True, step=0
     scenario = dataclasses.replace(
         Scenario(), payload=payload, sample_time=step, environment=environment
     )
-    pose = RigidTransform(RotationMatrix(matrix_of(target.quaternion)), target.position)
-    twist = target.motion[7:]
-    return coast(scenario, pose, twist, time=time, samples=samples, onward=onward)
+    return coast(scenario, target.motion, time=time, samples=samples, onward=onward)
 
 
 def integrated(start, environment, begin, end):

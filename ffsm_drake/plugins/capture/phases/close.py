@@ -4,8 +4,6 @@ import dataclasses
 import math
 
 import numpy as np
-from pydrake.common.eigen_geometry import Quaternion
-from pydrake.math import RigidTransform
 
 from ffsm_drake.common.numbers import number
 from ffsm_drake.loop.blocks import GRIPPER
@@ -80,8 +78,7 @@ def free_motion(scenario: Scenario, motion: np.ndarray, sample: int) -> np.ndarr
     """The free target's motion (n, 13) from a sample to the end of the run."""
     return coast(
         scenario,
-        RigidTransform(Quaternion(motion[:4]), motion[4:7]),
-        motion[7:],
+        motion,
         time=sample * scenario.sample_time,
         samples=scenario.num_control_periods + 1 - sample,
         onward=True,

@@ -70,7 +70,7 @@ class Again(PhaseKind):
     def _to_next_try(self, now: Situation, away: Move, end: int) -> tuple[Phase | None, Situation]:
         """The way to the next try, from the end of a retreat; None: there is none."""
         chase: Chase = now.own
-        found = _next_try(now, away.goal, end) if chase.tries < self.settings.tries else None
+        found = next_try(now, away.goal, end) if chase.tries < self.settings.tries else None
         if found is None:
             return None, now
         aim, across = found
@@ -188,7 +188,7 @@ def _paced(now: Situation, move: Move) -> Move:
     return dataclasses.replace(move, duration=max(min(duration, left), move.duration))
 
 
-def _next_try(now: Situation, start: Posture, first: int) -> tuple[Aim, Move] | None:
+def next_try(now: Situation, start: Posture, first: int) -> tuple[Aim, Move] | None:
     """The next try, from rest in a posture at a sample or later, and the move to its begin: the
     first try moved with the target to where the servicer has least to move, on a way that keeps
     clear. None: there is none.
