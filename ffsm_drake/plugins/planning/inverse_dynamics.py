@@ -7,21 +7,29 @@ order of v. It is unique while |phi| < pi.
 Drake's own inverse dynamics takes one state at a time, about 1 ms each with automatic
 differentiation. Here the plug-in ``equations`` evaluates all states of a motion at once, with
 complex-step derivatives. No gravity.
+
+With undriven coordinates the driven ones alone are planned for: the others follow by conservation
+of momentum. With the whole base undriven and no angular momentum, force and the base's rates in its
+own axes depend on the joints alone, wherever it is. So a motion of the joints is planned without
+the base, whose attitude is the product of its small rotations.
 """
 
+import itertools
 from collections.abc import Callable
 
 import numpy as np
 from pydrake.math import RotationMatrix
+from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.so3 import attitude_motion
 from ffsm_drake.plugins.equations.equations import inverse_dynamics
 from ffsm_drake.plugins.equations.tree import Reader
 from ffsm_drake.runs.engine import NotCovered
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
 
+_BASE = slice(0, NUM_BASE_VELOCITIES)
 _STEP = 1e-30  # complex step: its truncation error is below rounding
 _AT_ORIGIN = [1.0, *[0.0] * 6]  # pose of a base
 _COLUMNS = 600  # states in one pass: as many as fit the processor's cache
@@ -109,3 +117,96 @@ class InverseDynamics:
         inner = [i for i in range(size) if not 3 <= i < NUM_BASE_VELOCITIES]
         wanted = [(0, i) for i in inner] + [(1, i) for i in inner] + [(2, i) for i in range(size)]
         return complex_step(self.force, (z, rate, acceleration), wanted)
+
+
+class FreeDynamics:
+    """Force on driven coordinates z_a: joints, perhaps after the base's rotation vector."""
+
+    def __init__(self, dynamics: InverseDynamics, coordinates: Coordinates) -> None:
+        """Args: of all coordinates; which there are."""
+        self._dynamics, self._driven = dynamics, coordinates.driven
+        self._size = len(coordinates.names)
+        self.turns = not coordinates.is_driven[0]  # whether the base's rotation follows
+
+    def calc(self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+        """tau_a (na, n) for z_a and its time derivatives (na, n).
+
+        Where the base's rotation follows, below it w_WB and alpha_WB: (na + 6, n), in axes that go
+        with the base and are the world's when its attitude is R_0. Complex arrays pass.
+        """
+        count = z.shape[1]
+        whole, moving, speeding = (np.zeros((self._size, count), dtype=z.dtype) for _ in range(3))
+        whole[self._driven], moving[self._driven], speeding[self._driven] = z, rate, acceleration
+        force = self._dynamics.force
+        if not self.turns:
+            speeding[3:NUM_BASE_VELOCITIES] = -force(whole, moving, speeding)[3:NUM_BASE_VELOCITIES]
+            speeding[3:NUM_BASE_VELOCITIES] /= self._dynamics.mass
+            return force(whole, moving, speeding)[self._driven]
+        # The momentum of unit rates about each axis, and of the joints' rates: forces of such
+        # accelerations at rest.
+        units = np.zeros((self._size, 4, count), dtype=z.dtype)
+        units[[0, 1, 2], [0, 1, 2]] = 1.0
+        units[self._driven, 3] = rate
+        still = np.zeros((self._size, 4 * count), dtype=z.dtype)
+        momentum = force(np.tile(whole, 4), still, units.reshape(self._size, -1))[_BASE].reshape(
+            6, 4, count
+        )
+        inertia = np.zeros((count, 6, 6), dtype=z.dtype)  # H_uu
+        inertia[:, :, :3] = momentum[:, :3].transpose(2, 0, 1)
+        inertia[:, :3, 3:] = inertia[:, 3:, :3].transpose(0, 2, 1)
+        inertia[:, [3, 4, 5], [3, 4, 5]] = self._dynamics.mass
+        moving[:3] = -np.linalg.solve(inertia, momentum[:, 3].T[..., None])[:, :3, 0].T
+        wrench = force(whole, moving, speeding)[_BASE]
+        speeding[_BASE] = -np.linalg.solve(inertia, wrench.T[..., None])[..., 0].T
+        return np.vstack([force(whole, moving, speeding)[self._driven], moving[:3], speeding[:3]])
+
+    def linearized(
+        self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the results of ``calc``, and their derivatives by z_a, rate and acceleration (3,
+        m, na, n; row, column).
+        """
+        wanted = [(order, i) for order in range(3) for i in range(len(z))]
+        return complex_step(self.calc, (z, rate, acceleration), wanted)
+
+
+def turned(
+    w: np.ndarray, alpha: np.ndarray, by: np.ndarray, steps: np.ndarray, by_steps: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rotations of a body since the first of some instants, and how they change.
+
+    Each step is a rotation by h/2 (w_0 + w_1) + h^2/12 (alpha_0 - alpha_1 + w_0 x w_1), of fourth
+    order.
+
+    Args:
+      w, alpha: (n, 3), rad/s and rad/s^2, in the body's axes.
+      by: derivatives of both (n, 6, unknowns).
+      steps, by_steps: h (n - 1,), s, and its derivatives (n - 1, unknowns).
+
+    Returns: rotation matrices (n, 3, 3) in the first axes, and the small rotations from there, in
+    those axes too, by the unknowns (n, 3, unknowns).
+    """
+    first, last, half = w[:-1], w[1:], 0.5 * steps[:, None]
+    bend = (alpha[:-1] - alpha[1:] + np.cross(first, last)) / 3.0
+    vectors = half * (first + last + half * bend)
+    by_bend = by[:-1, 3:] - by[1:, 3:]
+    by_bend += np.cross(first[..., None], by[1:, :3], axis=1)
+    by_bend -= np.cross(last[..., None], by[:-1, :3], axis=1)
+    half = half[..., None]
+    slope = half * (by[:-1, :3] + by[1:, :3] + half * by_bend / 3.0)
+    slope += (0.5 * (first + last) + half[..., 0] * bend)[..., None] * by_steps[:, None]
+    none = np.zeros_like(vectors.T)
+    small = attitude_motion(vectors.T, none, none)[0]
+    # The left Jacobian, whose columns are the angular velocities of unit rates of the vector.
+    left = [attitude_motion(vectors.T, none + axis[:, None], none)[1] for axis in np.eye(3)]
+    rotation = np.array(
+        list(itertools.accumulate(small.transpose(2, 0, 1), np.matmul, initial=np.eye(3)))
+    )
+    steps = rotation[:-1] @ np.array(left).transpose(2, 1, 0) @ slope
+    return rotation, np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
+
+
+def rotation_vector(rotation: np.ndarray) -> np.ndarray:
+    """Rotation vectors (n, 3) of rotation matrices (n, 3, 3), rad, below half a turn."""
+    vectors: np.ndarray = Rotation.from_matrix(rotation).as_rotvec()
+    return vectors

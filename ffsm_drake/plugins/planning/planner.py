@@ -13,8 +13,7 @@ from ffsm_drake.common.errors import FfsmError, ScenarioError
 from ffsm_drake.common.numbers import short
 from ffsm_drake.common.so3 import rotation_error
 from ffsm_drake.common.steps import step
-from ffsm_drake.plugins.planning.free_dynamics import FreeDynamics
-from ffsm_drake.plugins.planning.inverse_dynamics import InverseDynamics
+from ffsm_drake.plugins.planning.inverse_dynamics import FreeDynamics, InverseDynamics
 from ffsm_drake.plugins.planning.limits import Margin, MotionLimits, margins, motion_limits
 from ffsm_drake.plugins.planning.program import INSTANTS, PlanningProgram
 from ffsm_drake.plugins.task_space.free_motion import FreeMotion

@@ -23,8 +23,13 @@ from pydrake.solvers import (
 )
 
 from ffsm_drake.common.so3 import attitude_motion
-from ffsm_drake.plugins.planning.free_dynamics import FreeDynamics, rotation_vector, turned
-from ffsm_drake.plugins.planning.inverse_dynamics import InverseDynamics, complex_step
+from ffsm_drake.plugins.planning.inverse_dynamics import (
+    FreeDynamics,
+    InverseDynamics,
+    complex_step,
+    rotation_vector,
+    turned,
+)
 from ffsm_drake.plugins.planning.limits import MotionLimits
 from ffsm_drake.scenario import Planning
 from ffsm_drake.spacecraft.clearance import Clearance

@@ -5,8 +5,12 @@ import pytest
 from pydrake.math import RotationMatrix
 
 from ffsm_drake import ScenarioError, load_scenario, make_nominal_plant, simulate
-from ffsm_drake.plugins.planning.free_dynamics import FreeDynamics, rotation_vector, turned
-from ffsm_drake.plugins.planning.inverse_dynamics import InverseDynamics
+from ffsm_drake.plugins.planning.inverse_dynamics import (
+    FreeDynamics,
+    InverseDynamics,
+    rotation_vector,
+    turned,
+)
 from ffsm_drake.plugins.planning.planner import PlanningError, plan_motion
 from ffsm_drake.spacecraft.free_floating import free_floating
 
