@@ -93,14 +93,16 @@ class Allocation:
             forces, given = self._solve_within_bounds(wrench, leak)
         return np.maximum(forces, 0.0), given
 
-    def _share_of(self, wrench: np.ndarray) -> np.ndarray:
-        """The map (n, 6) of least squares with the thrusters whose bound is touched by every best
-        vertex of a wrench (6).
-        """
+    def _may_fire(self, wrench: Any) -> Any:
+        """The thrusters (n) whose bound is touched by every best vertex of a wrench (6)."""
         worth = self._prices @ wrench
         best = worth.max()
         is_worse = worth < best - _SLACK * (1.0 + best)
-        may_fire = (self._touches | is_worse[:, None]).all(axis=0)
+        return (self._touches | is_worse[:, None]).all(axis=0)
+
+    def _share_of(self, wrench: np.ndarray) -> np.ndarray:
+        """The map (n, 6) of least squares for a wrench (6)."""
+        may_fire = self._may_fire(wrench)
         key = may_fire.tobytes()
         if key not in self._shares:
             self._shares[key] = np.linalg.pinv(self._wrenches * may_fire, rcond=1e-9)
@@ -111,11 +113,7 @@ class Allocation:
         rounding.
         """
         wrenches, largest, left = self._wrenches, self._largest, wrench - leak
-        worth = self._prices @ left
-        best = worth.max()
-        is_worse = worth < best - _SLACK * (1.0 + best)
-        may_fire = (self._touches | is_worse[:, None]).all(axis=0)
-        used = np.where(may_fire, wrenches, 0.0)
+        used = np.where(self._may_fire(left), wrenches, 0.0)
         normal = used @ wrenches.T + _SHIFT * np.trace(wrenches @ wrenches.T) * np.eye(6)
         solution = np.linalg.solve(normal, left)
         for _ in range(_REFINEMENTS):

@@ -125,37 +125,22 @@ def test_limit_of_the_gain():
 
 
 @pytest.mark.smoke
-def test_gain_is_the_steady_state_of_the_riccati_iteration():
-    """Noise sets of the flight scenario (three groups), of postcapture, and others, against a loop
-    of our own in SI.
+@pytest.mark.parametrize("step", [PERIOD, 0.04])
+def test_gain_is_that_of_the_filter_for_any_sensors(step):
+    """Noise sets of the flight scenario (three groups), of postcapture, and others; two solutions
+    of the Riccati equation.
     """
-    position = np.array([1e-3, 5e-5, 1e-5, 1e-6, 1e-3, 2e-4])
-    velocity = np.array([1e-3, 1.5e-5, 1e-4, 1e-6, 1e-2, 1e-4])
-    walk = np.array([1e-3, 1e-3, 1e-2, 1e-2, 10.0, 0.3])
-    for step in (PERIOD, 0.04):
-        transition = np.array([[1, step, step**2 / 2], [0, 1, step], [0, 0, 1]])
-        process = np.zeros((walk.size, 3, 3))
-        process[:, 2, 2] = walk**2 * step
-        noise = np.zeros((walk.size, 2, 2))
-        noise[:, 0, 0], noise[:, 1, 1] = position**2, velocity**2
-        covariance = np.tile(np.diag([1e-4, 1e-4, 1.0]), (walk.size, 1, 1))
-        for _ in range(4000):
-            gain = covariance[:, :, :2] @ np.linalg.inv(covariance[:, :2, :2] + noise)
-            keep = np.eye(3) - np.pad(gain, ((0, 0), (0, 0), (0, 1)))
-            covariance = keep @ covariance @ keep.transpose(
-                0, 2, 1
-            ) + gain @ noise @ gain.transpose(0, 2, 1)
-            covariance = transition @ covariance @ transition.T + process
-        for i in range(walk.size):
-            found = kalman_gain(
-                position_noise=position[i],
-                velocity_noise=velocity[i],
-                walk=walk[i],
-                sample_time=step,
-            )
-            assert found == pytest.approx(gain[i], rel=1e-7), (i, step)
-            error_map = (np.eye(3) - found @ np.eye(3)[:2]) @ transition
-            assert np.abs(np.linalg.eigvals(error_map)).max() < 1.0
+    position = (1e-3, 5e-5, 1e-5, 1e-6, 1e-3, 2e-4)
+    velocity = (1e-3, 1.5e-5, 1e-4, 1e-6, 1e-2, 1e-4)
+    walk = (1e-3, 1e-3, 1e-2, 1e-2, 10.0, 0.3)
+    transition = np.array([[1, step, step**2 / 2], [0, 1, step], [0, 0, 1]])
+    for numbers in zip(position, velocity, walk, strict=True):
+        noises = dict(zip(("position_noise", "velocity_noise", "walk"), numbers, strict=True))
+        found = kalman_gain(**noises, sample_time=step)
+        both_new = late_gains(SensedAxis(**noises), sample_time=step)[3]
+        assert found == pytest.approx(both_new[:3], rel=1e-7), noises
+        error_map = (np.eye(3) - found @ np.eye(3)[:2]) @ transition
+        assert np.abs(np.linalg.eigvals(error_map)).max() < 1.0
 
 
 def test_every_kind_that_a_scenario_can_name_is_there():
