@@ -11,17 +11,15 @@ import pytest
 from pydrake.systems.framework import LeafSystem
 from refusals import assert_refused
 
-from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant, simulate
+from ffsm_drake import ScenarioError, make_closed_loop, make_nominal_plant, simulate
 from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.plugins.analysis.balances import energy_residual
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
-from ffsm_drake.plugins.planning.inverse_dynamics import InverseDynamics
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.runs.simulate import prepare
 from ffsm_drake.scenario import Drives, scenario_from_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import make_true_plant
-from ffsm_drake.spacecraft.plant import base_body
 
 BASE, LINK = 10.0, 5.0  # kg m^2, about the axis; the link with its payload
 REDUCED = BASE * LINK / (BASE + LINK)
@@ -213,22 +211,6 @@ def test_the_controller_knows_the_rotors_as_the_scenario_says(two_bodies):
             plain + nominal
         )
         assert make_true_plant(scenario).calc_mass_matrix(q)[6, 6] == pytest.approx(plain + 3.0)
-
-
-def test_inverse_dynamics_has_the_rotors():
-    scenario = load_scenario(
-        "postcapture", ["actuation.drives={gear_ratio: 50, rotor_inertia: 1e-3}"]
-    )
-    model = make_true_plant(scenario)
-    rng = np.random.default_rng(2)
-    q = np.r_[1.0, np.zeros(3), rng.normal(size=8)]
-    v, a = np.r_[np.zeros(3), rng.normal(size=8)], np.r_[np.zeros(3), rng.normal(size=8)]
-    model.plant.SetPositions(model.context, q)
-    attitude = base_body(model.plant).EvalPoseInWorld(model.context).rotation()
-    tau = InverseDynamics(model, attitude).force(
-        np.r_[np.zeros(3), q[4:]][:, None], v[:, None], a[:, None]
-    )
-    assert tau[:, 0] == pytest.approx(model.calc_inverse_dynamics(q, v, a), rel=1e-11, abs=1e-10)
 
 
 def test_momentum_and_energy_of_the_whole_spacecraft(run):

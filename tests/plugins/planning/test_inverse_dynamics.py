@@ -14,10 +14,16 @@ from ffsm_drake.common.so3 import attitude_motion
 from ffsm_drake.plugins.planning.inverse_dynamics import InverseDynamics
 from ffsm_drake.spacecraft.nominal import make_true_plant
 
+ROTORS = "actuation.drives={gear_ratio: 50, rotor_inertia: 1e-3}"
 
-@pytest.fixture(scope="module", params=["postcapture", "seven_joint", "planar_detumble"])
+
+@pytest.fixture(
+    scope="module",
+    params=[("postcapture",), ("postcapture", ROTORS), ("seven_joint",), ("planar_detumble",)],
+)
 def model(request):
-    return make_true_plant(load_scenario(request.param))
+    name, *overrides = request.param
+    return make_true_plant(load_scenario(name, overrides))
 
 
 def states(model, count=20):
