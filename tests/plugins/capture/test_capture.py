@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from near_captures import SHORT
 from numpy.testing import assert_allclose
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.spatial.transform import Rotation
@@ -28,20 +29,7 @@ from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import make_law
 
-# From a posture near that at the grasp, so that two seconds are enough.
-NEAR = "{joint_1: 0.15, joint_2: 0.33, joint_3: 1.1, joint_4: 0.5, joint_5: -0.75}"
-SHORT = [
-    "duration=6",
-    "reference.duration=3",
-    f"capture.approach={{duration: 2, posture: "
-    f"{{base_position: [0.1, 0.3, -0.2], joints: {NEAR}}}}}",
-    "capture.approach.posture.base_rpy=[0.11, 0.08, -0.1]",
-    "target_posture.joints={joint_1: 0.2, joint_2: 0.35, joint_3: 0.95, joint_4: 0.8, joint_5: "
-    "-0.6}",
-    "target_posture.base_position=[0.1, 0.3, -0.2]",
-    "target_posture.base_rpy=[0.11, 0.08, -0.1]",
-]
-SCENARIO = load_scenario("tumbling_capture", SHORT)
+SCENARIO = load_scenario("tumbling_capture", ["duration=6", *SHORT])
 GRASP = 200  # the sample
 
 
@@ -130,9 +118,7 @@ def test_the_ledger_counts_the_wheels(run):
     units = (
         "{x: {axis: [1, 0, 0], initial_momentum: 3}, y: {axis: [0, 1, 0]}, z: {axis: [0, 0, 1]}}"
     )
-    record = run(
-        "tumbling_capture", *SHORT[1:], "duration=2.2", f"actuation.wheels={{units: {units}}}"
-    )
+    record = run("tumbling_capture", *SHORT, "duration=2.2", f"actuation.wheels={{units: {units}}}")
     data, ledger = record.dataset, record.grasp
     stored = np.array(ledger["stored_momentum"])
     assert np.linalg.norm(stored) > 1.0

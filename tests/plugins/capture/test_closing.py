@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from near_captures import SHORT
 
 from ffsm_drake import ScenarioError, load_scenario, simulate
 from ffsm_drake.plugins.capture.contact import coast
@@ -15,20 +16,7 @@ from ffsm_drake.plugins.capture.modes import Mode
 from ffsm_drake.plugins.capture.phases import retreat
 from ffsm_drake.runs.metrics import phases_of
 
-# From a posture near that at the grasp, so that two seconds are enough.
-NEAR = "{joint_1: 0.15, joint_2: 0.33, joint_3: 1.1, joint_4: 0.5, joint_5: -0.75}"
-SHORT = [
-    "duration=6",
-    "reference.duration=3",
-    f"capture.approach={{duration: 2, posture: "
-    f"{{base_position: [0.1, 0.3, -0.2], joints: {NEAR}}}}}",
-    "capture.approach.posture.base_rpy=[0.11, 0.08, -0.1]",
-    "target_posture.joints={joint_1: 0.2, joint_2: 0.35, joint_3: 0.95, joint_4: 0.8, joint_5: "
-    "-0.6}",
-    "target_posture.base_position=[0.1, 0.3, -0.2]",
-    "target_posture.base_rpy=[0.11, 0.08, -0.1]",
-]
-CLOSING = [*SHORT, "capture.closing={}"]
+CLOSING = ["duration=6", *SHORT, "capture.closing={}"]
 
 
 def closed(*given: str):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from near_captures import approach
 
 from ffsm_drake import FfsmError
 from ffsm_drake.plugins.report.page import render_report
@@ -14,10 +15,7 @@ def left_out(_):
 
 @pytest.mark.slow
 def test_the_report_tells_of_the_grasp(run, monkeypatch):
-    near = "{joint_1: 0.15, joint_2: 0.33, joint_3: 1.1, joint_4: 0.5, joint_5: -0.75}"
-    posture = f"{{base_position: [0.1, 0.3, -0.2], base_rpy: [0.11, 0.08, -0.1], joints: {near}}}"
-    approach = f"capture.approach={{duration: 2, posture: {posture}}}"
-    captured = run("tumbling_capture", "duration=2.5", approach)
+    captured = run("tumbling_capture", "duration=2.5", approach(2))
     for section in ("analysis.page.analyze", "design.panels.stability"):  # cost most of it
         monkeypatch.setattr(f"ffsm_drake.plugins.{section}", left_out)
     page = render_report([captured])

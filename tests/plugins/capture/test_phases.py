@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from near_captures import SHORT
 from numpy.testing import assert_allclose
 
 from ffsm_drake import BlockError, RunRecord, ScenarioError, load_scenario, simulate
@@ -14,15 +15,6 @@ from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.reference import make_motion
 
-# From a posture near that at the grasp, so that two seconds are enough.
-NEAR = "{joint_1: 0.15, joint_2: 0.33, joint_3: 1.1, joint_4: 0.5, joint_5: -0.75}"
-PLACE = "base_position: [0.1, 0.3, -0.2], base_rpy: [0.11, 0.08, -0.1]"
-JOINTS = "{joint_1: 0.2, joint_2: 0.35, joint_3: 0.95, joint_4: 0.8, joint_5: -0.6}"
-SHORT = [
-    "reference.duration=3",
-    f"capture.approach={{duration: 2, posture: {{{PLACE}, joints: {NEAR}}}}}",
-    f"target_posture={{{PLACE}, joints: {JOINTS}}}",
-]
 HERE = f"python_path=[{Path(__file__).parent}]"
 
 

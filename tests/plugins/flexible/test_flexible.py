@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from near_captures import approach
 from numpy.testing import assert_allclose
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import SpatialInertia
@@ -280,10 +281,7 @@ def test_the_kalman_loop_does_not_notice_the_panels(run):
 
 @pytest.mark.slow
 def test_a_grasp_shakes_the_panels_and_keeps_momentum(run):
-    near = "{joint_1: 0.15, joint_2: 0.33, joint_3: 1.1, joint_4: 0.5, joint_5: -0.75}"
-    posture = f"{{base_position: [0.1, 0.3, -0.2], base_rpy: [0.11, 0.08, -0.1], joints: {near}}}"
-    approach = f"capture.approach={{duration: 4, posture: {posture}}}"
-    record = run("tumbling_capture", *panels(4.0), approach, "duration=7")
+    record = run("tumbling_capture", *panels(4.0), approach(4), "duration=7")
     data, grasp = record.dataset, record.grasp
     assert grasp is not None
     at = int(np.argmax(data["phase"].values == "stop"))
