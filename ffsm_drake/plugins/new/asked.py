@@ -216,6 +216,10 @@ class Asked:
             data["capture"] = {"rate": data["capture"]["rate"], "servicer": "rest"}
 
 
+# Options of ``ffsm new`` that are words for a field.
+ASKED = tuple(each.name for each in dataclasses.fields(Asked) if each.name != "friction")
+
+
 def _own(settings: Any) -> dict[str, Any]:
     """Return the settings of a section that differ from its defaults, as plain data."""
     usual, data = dataclasses.asdict(type(settings)()), dataclasses.asdict(settings)

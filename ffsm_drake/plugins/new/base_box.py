@@ -6,13 +6,11 @@ from collections.abc import Sequence
 import numpy as np
 from pydrake.geometry import Role
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.clearance import INVENTED
-from ffsm_drake.spacecraft.plant import add_combined_plant
+from ffsm_drake.spacecraft.plant import add_combined_plant, find_body
 
 _SLAB = 0.5  # volume of a shape that belongs to the box, as a share of the largest shape's
 _NEAR = 0.02  # m; a point nearer to a shape overlaps it
@@ -89,10 +87,11 @@ def _shapes(model: Model, links: Sequence[str], body: str) -> list[_Shape]:
     plant = add_combined_plant(builder, model)
     inspector = builder.GetSubsystemByName("scene_graph").model_inspector()
     context = plant.CreateDefaultContext()
-    here: RigidBody = _body(plant, body)
+    here, *bodies = (
+        find_body(plant, f"servicer::{name}", key="model.servicer") for name in (body, *links)
+    )
     found = list[_Shape]()
-    for name in links:
-        each = _body(plant, name)
+    for each in bodies:
         pose = each.body_frame().CalcPose(context, here.body_frame())
         for shape in inspector.GetGeometries(
             plant.GetBodyFrameIdOrThrow(each.index()), Role.kIllustration
@@ -102,14 +101,10 @@ def _shapes(model: Model, links: Sequence[str], body: str) -> list[_Shape]:
                 label = inspector.GetName(shape).rpartition("::")[2]
                 found.append(
                     _Shape(
-                        body=name,
+                        body=each.name(),
                         place=place,
                         half=np.array(box.half_width()),
                         is_drawn=not label.startswith(INVENTED),
                     )
                 )
     return found
-
-
-def _body(plant: MultibodyPlant, name: str) -> RigidBody:
-    return plant.GetBodyByName(name, plant.GetModelInstanceByName("servicer"))

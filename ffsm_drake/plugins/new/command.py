@@ -4,6 +4,7 @@ import re
 import sys
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -151,16 +152,10 @@ def _target(value: str) -> tuple[float | None, float | None, Path | None]:
 def new(
     directory: Path,
     urdf: Path,
-    tip: str | None,
-    packages: dict[str, Path],
-    xacro_args: dict[str, str],
-    trust: bool,
     target: str | None,
-    bus_mass: float | None,
-    bus_size: tuple[float, ...] | None,
     as_json: bool,
     friction: bool,
-    **words: str | None,
+    **options: Any,
 ) -> None:
     """Start a scenario for your own servicer from its model file.
 
@@ -181,25 +176,15 @@ def new(
       ffsm new mine --urdf my_robot.urdf --package
       my_robot_description=~/ws/src/my_robot_description
     """
-    from ffsm_drake.plugins.new.asked import Asked
+    from ffsm_drake.plugins.new.asked import ASKED, Asked
     from ffsm_drake.plugins.new.first_scenario import new_scenario
 
     mass, side, file = (None, None, None) if target is None else _target(target)
+    words = {name: options.pop(name) for name in ASKED}
     made = new_scenario(
-        urdf,
-        directory,
-        tip=tip,
-        packages=packages,
-        payload_mass=mass,
-        payload_size=side,
-        target=file,
-        bus_mass=bus_mass,
-        bus_size=bus_size,
-        asked=Asked.parsed(friction=friction, **words),
-        xacro_args=xacro_args,
-        trust=trust,
-        rehearse=True,
-    )
+        urdf, directory, payload_mass=mass, payload_size=side, target=file,
+        asked=Asked.parsed(friction=friction, **words), rehearse=True, **options,
+    )  # fmt: skip
     mission = made.mission
     assert mission is not None
     lines = [made.summary(), "", *mission.lines, mission.conclusion]

@@ -28,6 +28,14 @@ _NAMED_FILE = re.compile(
 )
 _SHAPES = ("box", "sphere", "cylinder", "capsule", "ellipsoid")  # that Drake reads
 _CONVERTED = {".stl": of_stl, ".dae": of_collada}
+_MISSING, _UNDRAWABLE = "meshes not found", "meshes of an undrawable format"
+_UNKNOWN = "shapes that cannot be drawn"
+_UNDRAWN = {  # what cannot be drawn -> remedy
+    _MISSING: "put them next to {source} to have them drawn",
+    _UNDRAWABLE: f"convert them to {', '.join((*DRAWABLE, '.stl'))}",
+    _UNKNOWN: "replace them with meshes",
+}
+_PACKAGED = {_MISSING: "give --package NAME=FOLDER to have them drawn"}
 _REASONS = {
     "dynamics": "joint damping and friction left out ({times}): --friction adds them as drives",
     "collision": "collision shapes left out ({times}): contact is not modelled",
@@ -162,7 +170,7 @@ class _Meshes:
 
     def __init__(self, source: Path, folder: Path, packages: Mapping[str, Path]) -> None:
         self._source, self._folder, self._packages = source, folder, packages
-        self._missing, self._undrawable, self._unknown = list[str](), list[str](), list[str]()
+        self._marked: dict[str, list[str]] = {problem: [] for problem in _UNDRAWN}
         self._places: dict[Path, str] = {}  # folder of meshes -> the name of its copy
 
     def draw(self, link: Element) -> Counter[str]:
@@ -191,7 +199,7 @@ class _Meshes:
         if shape.tag.removeprefix(DRAKE) in _SHAPES:
             return True
         if (mesh := visual.find("geometry/mesh")) is None:
-            self._mark(visual, self._unknown, shape.get("name") or shape.tag)
+            self._mark(visual, _UNKNOWN, shape.get("name") or shape.tag)
             return False
         address = mesh.attrib.pop("uri", "")
         address = mesh.get("filename") or address
@@ -203,7 +211,7 @@ class _Meshes:
         elif file is not None and file.suffix.lower() in _CONVERTED:
             converted = _CONVERTED[file.suffix.lower()](file) or ""
         if file is None or not (converted or file.suffix.lower() in DRAWABLE):
-            self._mark(visual, self._missing if file is None else self._undrawable, address)
+            self._mark(visual, _MISSING if file is None else _UNDRAWABLE, address)
             return False
         place = self._places.setdefault(file.parent, f"{len(self._places) + 1}")
         if converted:
@@ -221,16 +229,11 @@ class _Meshes:
 
     def remarks(self) -> Iterator[str]:
         """Yield a line for missing meshes, and a line for shapes that cannot be drawn."""
-        is_package = any(each.startswith(("package:", "model:")) for each in self._missing)
-        beside = f"put them next to {self._source.name}"
-        found_by = "give --package NAME=FOLDER" if is_package else beside
-        for addresses, problem, remedy in (
-            (self._missing, "meshes not found", f"{found_by} to have them drawn"),
-            (self._undrawable, "meshes of an undrawable format",
-             f"convert them to {', '.join((*DRAWABLE, '.stl'))}"),
-            (self._unknown, "shapes that cannot be drawn", "replace them with meshes"),
-        ):  # fmt: skip
+        for problem, addresses in self._marked.items():
             if addresses:
+                remedy = _UNDRAWN[problem].format(source=self._source.name)
+                if any(each.startswith(("package:", "model:")) for each in addresses):
+                    remedy = _PACKAGED.get(problem, remedy)
                 # Only the name of an absolute path, which would reveal its author's folders.
                 shown = [
                     Path(each).name if each.startswith(("/", "file:")) else each
@@ -239,13 +242,13 @@ class _Meshes:
                 times = counted(len(addresses), "time")
                 yield f"{problem} ({times}, {', '.join(shown[:3])}): {remedy}"
 
-    def _mark(self, visual: Element, kind: list[str], name: str) -> None:
+    def _mark(self, visual: Element, problem: str, name: str) -> None:
         """Put a ball in place of a shape that cannot be drawn, so that clearances name it."""
-        kind.append(name)
+        self._marked[problem].append(name)
         for geometry in visual.findall("geometry"):
             visual.remove(geometry)
         SubElement(SubElement(visual, "geometry"), "sphere", radius="0.01")
-        number = len(self._missing + self._undrawable + self._unknown)
+        number = sum(map(len, self._marked.values()))
         visual.set("name", f"{UNMEASURED}_{number} {Path(name).name}")
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from ffsm_drake.common.errors import ModelError
+from ffsm_drake.spacecraft.checked_urdf import require
 
 Names = Callable[[str], Any]  # the value of a name; raises KeyError
 _LONGEST = 10_000  # characters of an expression
@@ -28,6 +29,7 @@ _COMPUTED: dict[type, Callable[[Any, Any], Any]] = {
     ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Mod: operator.mod,
     ast.Div: operator.truediv, ast.FloorDiv: operator.floordiv, ast.Pow: operator.pow,
 }  # fmt: skip
+_HOLDERS: dict[type, Callable[[Any], Any]] = {ast.List: list, ast.Tuple: tuple, ast.Set: set}
 _MAKING = (ast.List, ast.Tuple, ast.Set, ast.Dict, ast.BinOp, ast.Call)  # may grow
 _SIGNED: dict[type, Callable[[Any], Any]] = {
     ast.UAdd: operator.pos, ast.USub: operator.neg, ast.Not: operator.not_,
@@ -38,18 +40,13 @@ class Space(dict[str, Any]):
     """A namespace whose names are written after a dot."""
 
 
-def _require(condition: object, problem: str) -> None:
-    if not condition:
-        raise ModelError(problem)
-
-
 def _bounded(value: Any) -> Any:
     """The value, if it is not too large with all that it holds, each time that it holds it."""
     pending, size = [value], 0
     while pending:
         each = pending.pop()
         size += len(each) if isinstance(each, str) else 1
-        _require(size <= _MOST, f"a text or list would have more than {_MOST} items")
+        require(size <= _MOST, f"a text or list would have more than {_MOST} items")
         if isinstance(each, dict):
             pending += [*each, *each.values()]
         elif isinstance(each, (list, tuple, set, frozenset)):
@@ -66,15 +63,15 @@ def _check_operands(kind: type, left: Any, right: Any) -> None:
     """Raise ModelError where the result would be too large to compute."""
     sequences = (str, list, tuple)
     if kind is ast.Mult:
-        _require(_size(left) + _size(right) <= _BITS, f"a number would have more than {_BITS} bits")
+        require(_size(left) + _size(right) <= _BITS, f"a number would have more than {_BITS} bits")
         for items, count in ((left, right), (right, left)):
             if isinstance(items, sequences) and isinstance(count, int):
-                _require(len(items) * count <= _MOST, f"a text or list of more than {_MOST} items")
+                require(len(items) * count <= _MOST, f"a text or list of more than {_MOST} items")
     elif kind is ast.Pow and isinstance(left, int) and isinstance(right, int):
-        _require(_size(left) * abs(right) <= _BITS, f"a power would have more than {_BITS} bits")
+        require(_size(left) * abs(right) <= _BITS, f"a power would have more than {_BITS} bits")
     elif kind is ast.Mod and isinstance(left, str):
         widths = map(int, re.findall(r"\d+", left[:_LONGEST]))
-        _require(
+        require(
             len(left) <= _LONGEST and "*" not in left and max(widths, default=0) <= _WIDTH,
             f"a format wider than {_WIDTH} characters",
         )
@@ -84,7 +81,7 @@ def _small(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function of whole numbers that grows with their size, for small ones."""
 
     def of_small(*values: Any) -> Any:
-        _require(all(abs(value) <= _WIDTH for value in values), f"an argument above {_WIDTH}")
+        require(all(abs(value) <= _WIDTH for value in values), f"an argument above {_WIDTH}")
         return function(*values)
 
     return of_small
@@ -92,12 +89,12 @@ def _small(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def _range(*ends: int) -> range:
     made = range(*ends)
-    _require(len(made) <= _MOST, f"a range of more than {_MOST} items")
+    require(len(made) <= _MOST, f"a range of more than {_MOST} items")
     return made
 
 
 def _round(value: Any, digits: int | None = None) -> Any:
-    _require(digits is None or abs(digits) <= _WIDTH, f"a number of digits above {_WIDTH}")
+    require(digits is None or abs(digits) <= _WIDTH, f"a number of digits above {_WIDTH}")
     return round(value, digits)
 
 
@@ -141,7 +138,7 @@ def evaluate(expression: str, names: Names, attribute: Callable[[Any, str], Any]
       ModelError: it holds anything else, or its value would be too large.
       Exception: what Python raises for it, such as a division by zero.
     """
-    _require(len(expression) <= _LONGEST, f"an expression of more than {_LONGEST} characters")
+    require(len(expression) <= _LONGEST, f"an expression of more than {_LONGEST} characters")
     return _Walk(names, attribute).value(
         ast.parse(expression.strip(), "<expression>", mode="eval").body
     )
@@ -161,7 +158,7 @@ class _Walk:
 
     def of_constant(self, node: ast.Constant) -> Any:
         kinds = (int, float, str, type(None))
-        _require(isinstance(node.value, kinds), f"{node.value!r:.40} is not allowed")
+        require(isinstance(node.value, kinds), f"{node.value!r:.40} is not allowed")
         return node.value
 
     def of_name(self, node: ast.Name) -> Any:
@@ -175,18 +172,18 @@ class _Walk:
         _check_name(node.attr)
         value = self.value(node.value)
         if isinstance(value, Space):
-            _require(node.attr in value, f"the function '{node.attr}' is unknown, or not allowed")
+            require(node.attr in value, f"the function '{node.attr}' is unknown, or not allowed")
             return value[node.attr]
         return self.attribute(value, node.attr)
 
     def of_binop(self, node: ast.BinOp) -> Any:
-        _require(type(node.op) in _COMPUTED, f"{type(node.op).__name__} is not allowed")
+        require(type(node.op) in _COMPUTED, f"{type(node.op).__name__} is not allowed")
         left, right = self.value(node.left), self.value(node.right)
         _check_operands(type(node.op), left, right)
         return _COMPUTED[type(node.op)](left, right)
 
     def of_unaryop(self, node: ast.UnaryOp) -> Any:
-        _require(type(node.op) in _SIGNED, f"{type(node.op).__name__} is not allowed")
+        require(type(node.op) in _SIGNED, f"{type(node.op).__name__} is not allowed")
         return _SIGNED[type(node.op)](self.value(node.operand))
 
     def of_boolop(self, node: ast.BoolOp) -> Any:
@@ -216,14 +213,10 @@ class _Walk:
     def of_slice(self, node: ast.Slice) -> slice:
         return slice(*(each and self.value(each) for each in (node.lower, node.upper, node.step)))
 
-    def of_list(self, node: ast.List) -> list[Any]:
-        return [self.value(each) for each in node.elts]
+    def of_items(self, node: ast.List | ast.Tuple | ast.Set) -> Any:
+        return _HOLDERS[type(node)](map(self.value, node.elts))
 
-    def of_tuple(self, node: ast.Tuple) -> tuple[Any, ...]:
-        return tuple(self.value(each) for each in node.elts)
-
-    def of_set(self, node: ast.Set) -> set[Any]:
-        return {self.value(each) for each in node.elts}
+    of_list = of_tuple = of_set = of_items
 
     def of_dict(self, node: ast.Dict) -> dict[Any, Any]:
         pairs = zip(node.keys, node.values, strict=True)
@@ -231,11 +224,11 @@ class _Walk:
 
     def of_call(self, node: ast.Call) -> Any:
         function = self.value(node.func)
-        _require(callable(function), f"'{ast.unparse(node.func)[:40]}' is not a function")
+        require(callable(function), f"'{ast.unparse(node.func)[:40]}' is not a function")
         given: Mapping[str, Any] = {str(each.arg): self.value(each.value) for each in node.keywords}
-        _require("None" not in given, "** is not allowed in an expression")
+        require("None" not in given, "** is not allowed in an expression")
         return function(*map(self.value, node.args), **given)
 
 
 def _check_name(name: str) -> None:
-    _require(not name.startswith("__"), f"the name '{name[:40]}' is not allowed")
+    require(not name.startswith("__"), f"the name '{name[:40]}' is not allowed")

@@ -23,7 +23,7 @@ from ffsm_drake.plugins.new.urdf.formats.expressions import (
     Space,
     evaluate,
 )
-from ffsm_drake.spacecraft.checked_urdf import MAX_URDF
+from ffsm_drake.spacecraft.checked_urdf import MAX_URDF, require
 
 _MISSING = re.compile(r"Undefined substitution argument (\w+)")
 _DEPTH, _FILES, _CALLS = 50, 1000, 20_000  # nested includes, files read, macros called
@@ -121,7 +121,7 @@ class _Reader:
 
         def handle_macro_call(*args: Any) -> Any:
             self.calls += args[0].tagName.startswith("xacro:")
-            self.require(self.calls <= _CALLS, f"more than {_CALLS} macros are called")
+            require(self.calls <= _CALLS, f"more than {_CALLS} macros are called")
             return usual_call(*args)
 
         own = {
@@ -133,30 +133,22 @@ class _Reader:
             (substitution_args, "_eval_env"): self.environment,
             (substitution_args, "_eval_optenv"): self.environment,
         }
-        usual = {place: getattr(*place) for place in own}
-        try:
+        with contextlib.ExitStack() as stack:
             for place, function in own.items():
+                stack.callback(setattr, *place, getattr(*place))
                 setattr(*place, function)
             yield
-        finally:
-            for place, function in usual.items():
-                setattr(*place, function)
-
-    @staticmethod
-    def require(condition: object, problem: str) -> None:
-        if not condition:
-            raise ModelError(problem)
 
     def check(self, file: Path) -> None:
         """Raise ModelError for a file that must not be read."""
         self.files += 1
-        self.require(self.files <= _FILES, f"more than {_FILES} files are included")
-        self.require(
+        require(self.files <= _FILES, f"more than {_FILES} files are included")
+        require(
             len(self.xacro.filestack) <= _DEPTH,
             f"files include each other more than {_DEPTH} deep; does one include itself?",
         )
         within = any(file.resolve().is_relative_to(root) for root in self.roots)
-        self.require(
+        require(
             self.trust or within,
             f"{file} is outside the model's folder {self.folder}{_TRUST}",
         )
@@ -182,9 +174,9 @@ class _Reader:
         raise ModelError(f"$(find {package}): no such package; give --package {package}=FOLDER")
 
     def environment(self, name: str, default: str | None = None) -> str:
-        self.require(self.trust, f"reads the environment variable {name[:40]}{_TRUST}")
+        require(self.trust, f"reads the environment variable {name[:40]}{_TRUST}")
         value = os.environ.get(name, default)
-        self.require(value is not None, f"the environment variable {name[:40]} is not set")
+        require(value is not None, f"the environment variable {name[:40]} is not set")
         return str(value)
 
     def evaluate(self, expression: str, symbols: Any, _: Any = None) -> Any:
@@ -223,7 +215,7 @@ class _Reader:
                 return self._symbol(value, name)
             except KeyError:
                 raise NameError(f"name '{name}' is not defined") from None
-        self.require(
+        require(
             isinstance(value, self.xacro.YamlDictWrapper),
             f"'.{name[:40]}' is not allowed in an expression",
         )
@@ -240,7 +232,7 @@ class _Reader:
             raise ModelError(" ".join(map(str, texts)))
 
         def load_yaml(filename: str) -> Any:
-            self.require(self.trust, f"load_yaml reads a file{_TRUST}")
+            require(self.trust, f"load_yaml reads a file{_TRUST}")
             self.check(Path(self.xacro.abs_filename_spec(filename)))
             return self.xacro.load_yaml(filename)
 
