@@ -8,8 +8,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import MultibodyPlant
+from mass_matrices import by_drake, by_mujoco, plant_of
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.errors import ModelError
@@ -32,16 +31,6 @@ TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 
 
 def numbers(values: object) -> str:
     return " ".join(map(repr, np.ravel(values).tolist()))
-
-
-def mass_matrix(file: Path) -> np.ndarray:
-    """H of a model with one joint, in one configuration, by Drake alone."""
-    plant = MultibodyPlant(time_step=0.0)
-    Parser(plant).AddModels(str(file))
-    plant.Finalize()
-    context = plant.CreateDefaultContext()
-    plant.SetPositions(context, [1, 0, 0, 0, 0, 0, 0, 0.4])
-    return plant.CalcMassMatrix(context)
 
 
 # libsdformat's automatic inertia
@@ -97,10 +86,10 @@ def test_automatic_inertia_is_drakes(draws: int, tmp_path: Path) -> None:
         alone = tmp_path / "alone.sdf"  # Drake does not find a relative mesh
         alone.write_text(text.replace(f"<uri>{mesh.name}", f"<uri>{mesh}"))
         log.disabled = True  # it warns of what libsdformat has used
-        expected = mass_matrix(alone)
+        expected = by_drake(plant_of(alone), {"j": 0.4})
         log.disabled = False
         write_urdf(read_urdf(file), tmp_path, file_name="craft.urdf", packages={})
-        found = mass_matrix(tmp_path / "craft.urdf")
+        found = by_drake(plant_of(tmp_path / "craft.urdf"), {"j": 0.4})
         np.testing.assert_allclose(
             found, expected, rtol=0.0, atol=1e-12 * expected.max(), err_msg=f"{draw}: {text}"
         )
@@ -170,14 +159,9 @@ def test_rounding_in_an_inertia_is_no_fault(draws: int, kind: str, tmp_path: Pat
         inertia, _ = drawn_inertia(rng, 0.0)
         file.write_text(file_with(inertia, numbers(center), kind))
         write_urdf(read_urdf(file), tmp_path, file_name=written.name, packages={})
-        plant = MultibodyPlant(time_step=0.0)
-        parser = Parser(plant)
-        parser.SetStrictParsing()
-        parser.AddModels(str(written))
-        plant.Finalize()
         expected = hand_made(inertia, center)
         np.testing.assert_allclose(
-            plant.CalcMassMatrix(plant.CreateDefaultContext()), expected, rtol=0.0,
+            by_drake(plant_of(written, strict=True), {"j": 0.0}), expected, rtol=0.0,
             atol=5e-12 * np.abs(expected).max(), err_msg=f"{draw}: {inertia.tolist()}",
         )  # fmt: skip
 
@@ -340,38 +324,19 @@ def drawn_mjcf(rng: np.random.Generator) -> str:
     )
 
 
-def readings(text: str) -> tuple[np.ndarray, np.ndarray]:
-    """H and the joints' ranges, in rows of one array, by MuJoCo and by Drake alone."""
-    model = mujoco.MjModel.from_xml_string(text)
-    data, plant = mujoco.MjData(model), MultibodyPlant(time_step=0.0)
-    angles = np.array([0.3, -0.2, 0.5])
-    data.qpos[:7], data.qpos[7:] = [0, 0, 0, 1, 0, 0, 0], angles + model.qpos0[7:]
-    mujoco.mj_forward(model, data)
-    mass = np.zeros((model.nv, model.nv))
-    for unit, column in zip(np.eye(model.nv), mass, strict=True):
-        mujoco.mj_mulM(model, data, column, unit)
+def readings(text: str) -> Iterator[np.ndarray]:
+    """H and the joints' ranges, by MuJoCo and by Drake alone."""
+    model, joints = mujoco.MjModel.from_xml_string(text), {"one": 0.3, "two": -0.2, "three": 0.5}
     ranges = np.where(
         model.jnt_limited[1:, None] > 0, model.jnt_range[1:] - model.qpos0[7:, None], [-9.0, 9.0]
     )
-    order = [3, 4, 5, 0, 1, 2, 6, 7, 8]
+    yield np.concatenate([by_mujoco(text, joints).ravel(), ranges.ravel()])
     logging.getLogger("drake").disabled = True
-    Parser(plant).AddModelsFromString(text, "xml")
+    plant = plant_of(text, "xml")
     logging.getLogger("drake").disabled = False
-    plant.Finalize()
-    context, joints = plant.CreateDefaultContext(), [plant.GetJointByName(each) for each in JOINTS]
-    for joint, angle in zip(joints, angles, strict=True):
-        positions = plant.GetPositions(context)
-        positions[joint.position_start()] = angle
-        plant.SetPositions(context, positions)
-    rows = [*range(6), *(joint.velocity_start() for joint in joints)]
-    read = [[j.position_lower_limits()[0], j.position_upper_limits()[0]] for j in joints]
-    return (
-        np.vstack([mass[np.ix_(order, order)], np.pad(ranges.T, ((0, 0), (0, 6)))]),
-        np.vstack([
-            plant.CalcMassMatrix(context)[np.ix_(rows, rows)],
-            np.pad(np.clip(read, -9.0, 9.0).T, ((0, 0), (0, 6))),
-        ]),
-    )  # fmt: skip
+    moved = map(plant.GetJointByName, JOINTS)
+    ranges = [[*each.position_lower_limits(), *each.position_upper_limits()] for each in moved]
+    yield np.concatenate([by_drake(plant, joints).ravel(), np.clip(ranges, -9.0, 9.0).ravel()])
 
 
 @pytest.mark.parametrize("draws", [12, pytest.param(1000, marks=pytest.mark.exhaustive)])
