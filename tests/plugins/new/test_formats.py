@@ -218,12 +218,6 @@ def test_what_xacro_cannot_expand_is_one_line(text: str, told: str, tmp_path: Pa
     assert told in str(error.value)
 
 
-def test_arguments_for_another_format_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "craft.sdf").write_text(sdf())
-    with pytest.raises(ModelError, match="--xacro-arg is for xacro files"):
-        read_urdf(tmp_path / "craft.sdf", arguments={"a": "1"})
-
-
 def test_a_target_in_mjcf(tmp_path: Path) -> None:
     file = tmp_path / "client.xml"
     file.write_text(
