@@ -370,28 +370,21 @@ def test_long_names_stand_apart(tmp_path: Path) -> None:
     assert f"{long}  revolute" in made(tmp_path, text).summary()
 
 
-def test_stl_is_drawn(tmp_path: Path) -> None:
-    """Binary and text; the same corners become one."""
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
-    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-    record = np.zeros(4, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
-    record["corners"] = corners[faces]
-    binary = bytes(80) + (4).to_bytes(4, "little") + record.tobytes()
-    lines = [f"vertex {x} {y} {z}" for face in faces for x, y, z in corners[face]]
-    (tmp_path / "meshes").mkdir()
-    visual = '<visual><geometry><mesh filename="meshes/a.stl"/></geometry></visual>'
-    for content in (binary, ("solid a\n" + "\n".join(lines)).encode()):
-        (tmp_path / "meshes/a.stl").write_bytes(content)
-        file = written(tmp_path, arm(bus=link("bus", mass=200, extra=visual)))
-        remarks = write_urdf(read_urdf(file), tmp_path / "out", file_name="a.urdf", packages={})
-        assert not [each for each in remarks if "mesh" in each]
-        drawn = (tmp_path / "out/meshes/1/a.stl.obj").read_text().splitlines()
-        assert sorted(drawn[:4]) == ["v 0 0 0", "v 0 0 1", "v 0 1 0", "v 1 0 0"]
-        assert len(drawn) == 8
-    (tmp_path / "meshes/a.stl").write_text("solid nothing")
-    assert "of an undrawable format" in " ".join(
-        write_urdf(read_urdf(file), tmp_path / "out", file_name="a.urdf", packages={})
-    )
+def test_a_text_stl_is_drawn(tmp_path: Path) -> None:
+    """The same corners become one. test_picture_poses.py draws binary files."""
+    corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+    lines = ["vertex {} {} {}".format(*corners[k]) for face in faces for k in face]
+    visual = '<visual><geometry><mesh filename="a.stl"/></geometry></visual>'
+    file = written(tmp_path, arm(bus=link("bus", mass=200, extra=visual)))
+    remarks = list[str]()
+    for content in ("\n".join(lines), "nothing"):
+        (tmp_path / "a.stl").write_text(f"solid a\n{content}")
+        remarks += write_urdf(read_urdf(file), tmp_path / "out", file_name="a.urdf", packages={})
+    drawn = (tmp_path / "out/meshes/1/a.stl.obj").read_text().splitlines()
+    assert sorted(drawn[:4]) == ["v 0 0 0", "v 0 0 1", "v 0 1 0", "v 1 0 0"]
+    assert len(drawn) == 8
+    assert " ".join(remarks).count("of an undrawable format") == 1
 
 
 def box_at(middle: np.ndarray, sides: np.ndarray) -> str:
