@@ -291,7 +291,7 @@ def test_an_arm_without_a_world_stands_on_the_middle_of_a_cube(tmp_path):
 def test_printed(made):
     text = made("two_armed").summary()
     for part in (
-        "torso, 450 kg of 485 kg",
+        "torso, 450 kg of 485 kg; holds a target of 112 kg, a cube of 1.04 m",
         "left_tool, 3 joints, reach 2 m",
         "--tip right_tool",
         "ffsm run ",

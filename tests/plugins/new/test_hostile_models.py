@@ -143,6 +143,9 @@ def test_no_hostile_expression_runs_anything(tmp_path, monkeypatch):
         ('<xacro:macro name="m"><xacro:m/></xacro:macro><xacro:m/>', "nest too deeply"),
         ('<xacro:include filename="fifo"/>', "is not a regular file"),
         ('<xacro:include filename="$(find none)/a.xacro"/>', "give --package none=FOLDER"),
+        ('<xacro:include filename="none.xacro"/>', "cannot be expanded: No such file"),
+        ('<xacro:arg name="a" default="1"/>${b}', "cannot be expanded: name 'b' is not defined"),
+        ('<link name="$(arg b)"/>', "1 argument missing, without a default: give --xacro-arg b="),
     ],
 )
 def test_what_a_xacro_file_must_not_do(text, told, tmp_path):
