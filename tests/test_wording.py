@@ -23,7 +23,7 @@ ALWAYS_MANY = {
     "plugins/audit/efforts.py": {"count"},
     "plugins/campaign/spec.py": {"spec.cases", "len(spec.distributions)"},
     "plugins/capture/phases/own.py": {"times.size"},
-    "plugins/design/stability/differences.py": {"states"},
+    "plugins/design/stability/drake_sample.py": {"states"},
     "plugins/design/stability/mission.py": {"len(found.loops)"},
     "plugins/equations/tree.py": {"len(links)"},
     "plugins/new/hands.py": {"len(self._rows)"},

@@ -18,8 +18,7 @@ from ffsm_drake.plugins.design.limit import find_limit
 from ffsm_drake.plugins.design.stability.boundaries import (
     LARGEST_DELAY,
     LARGEST_FACTOR,
-    largest_delay,
-    largest_payload,
+    largest_stable,
 )
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
 from ffsm_drake.scenario import Grip, Scenario, scenario_from_yaml
@@ -51,8 +50,11 @@ def law_figures(scenario: str) -> dict[str, float | None]:
         return dict.fromkeys(FIGURES)
 
     def delay() -> float:
-        further = min(largest_delay(given, time=edge), LARGEST_DELAY)
+        further = min(largest_stable(given, "delay", time=edge), LARGEST_DELAY)
         return further * given.sample_time
+
+    def payload() -> float:
+        return min(largest_stable(given, "nominal_payload", time=edge), LARGEST_FACTOR)
 
     def found(figure: Callable[[], float]) -> float | None:
         with contextlib.suppress(FfsmError, ArithmeticError, ValueError):
@@ -66,7 +68,7 @@ def law_figures(scenario: str) -> dict[str, float | None]:
 
     return {
         RADIUS: found(lambda: expected_radius(given)),
-        PAYLOAD: found(lambda: min(largest_payload(given, time=edge), LARGEST_FACTOR)),
+        PAYLOAD: found(payload),
         DELAY: found(delay),
         ERROR: found(lambda: find_limit(given).distance),
         TIME: found(lambda: _law_time(given, grip)),

@@ -8,7 +8,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.plugins.compiled.apart import reason_of
@@ -40,8 +39,9 @@ class TracedSample:
     """A control sample of a scenario's loop, which is not the first of a run.
 
     Its state (n) has the plant's [q; v] at ``known`` and ``hidden``, the force over the last period
-    at ``applied``, and the parts of the law's memory at ``memory``. The rest is delayed forces and
-    measurements, and what drifts in the sensors.
+    at ``applied``, and the parts of the law's memory at ``memory``; of it at ``held`` what a
+    linearisation holds, with its value (None: that at the start). The rest is delayed forces and
+    measurements, and what drifts in the sensors. ``noise`` has the parts of its noise (m).
     """
 
     def __init__(self, scenario: Scenario, given: Scenario, grip: Grip = HELD) -> None:
@@ -62,7 +62,7 @@ class TracedSample:
         self._scenario, self._nominal, self.motion = scenario, run.case.nominal, run.case.motion
         self._frame = make_frame_motion(scenario, self._nominal, self.motion)
         self.key, self.law, self.coordinates = run.key, run.law, run.coordinates
-        self.sample_time = scenario.sample_time  # s
+        self.tracks_frame, self.sample_time = self.law.tracks_frame, scenario.sample_time  # s
         blocks = run.blocks
         self.size = sum(blocks.states.values())
         if self.size > _MOST:
@@ -81,8 +81,11 @@ class TracedSample:
         period = math.lcm(*(each.phase_period for each in timed))
         if period > _LONGEST:
             raise NotCovered("sensors with a long common period")
-        self.phases = phases_of(timed, period)  # kind of each sample of a common period
-        self.num_noise = blocks.row["noise"] + blocks.row["drift_noise"]
+        self.period = period
+        self._phases = phases_of(timed, period)  # of each sample of a common period
+        white, drift = blocks.row["noise"], blocks.row["drift_noise"]
+        self.num_noise = white + drift
+        self.noise = {"samples": slice(0, white), "drift": slice(white, white + drift)}
         places = self._plain.places
         end = places["memory"] - places["x"]
         first = places["applied"] - places["x"]
@@ -91,6 +94,7 @@ class TracedSample:
         for name, value in blocks.memory.items():
             self.memory[name] = slice(end, end + value.size)
             end += value.size
+        self.held = {name: (self.memory[name], value) for name, value in self.law.held().items()}
         self.start = np.zeros(self.size)  # the state at the run's start, with sensors without drift
         for name in set(run.states) - {"drift"}:
             first = places[name] - places["x"]
@@ -103,6 +107,10 @@ class TracedSample:
             self._in_row[name] = slice(first, first + size)
             first += size
         self._planned = np.zeros((0, blocks.num_planned))  # of the first samples
+
+    def kind(self, index: int) -> tuple[float, ...]:
+        """A key that is equal for control samples with the same phases."""
+        return tuple(self._phases[index % self.period].tolist())
 
     def placed(self, known: np.ndarray) -> np.ndarray:
         """The state of the run's start with another [q; v], which was measured before too (n)."""
@@ -163,21 +171,6 @@ class TracedSample:
         found = Derivative(of_state[:, :count], of_force[:, :count])
         return self._of(code, cells, "x", self.size)[:, 0].copy(), found
 
-    def momentum_slope(self, state: np.ndarray, truth: MassProperties | None = None) -> np.ndarray:
-        """Derivative of the momentum (6) about the world's origin by the plant's state (6, n).
-
-        Args: the state, and the payload as of ``derivative``.
-        """
-        true = self._true(truth)
-        plant = true.plant.ToAutoDiffXd()
-        context = plant.CreateDefaultContext()
-        context.SetTimeStateAndParametersFrom(true.context)
-        x = state[: plant.num_multibody_states()]
-        plant.SetPositionsAndVelocities(context, InitializeAutoDiff(x)[:, 0])
-        momentum = plant.CalcSpatialMomentumInWorldAboutPoint(context, np.zeros(3))
-        found: np.ndarray = ExtractGradient(momentum.get_coeffs())
-        return found
-
     def _true(self, truth: MassProperties | None) -> PlantModel:
         """The plant with the payload of the scenario, or another."""
         payload = self._scenario.payload
@@ -198,7 +191,7 @@ class TracedSample:
         """What a sample reads (n), see ``Blocks.row``."""
         time, row, places = index * self.sample_time, self._row, self._in_row
         row[places["reference"]] = self.motion.row(time)
-        row[places["phases"]] = self.phases[index % len(self.phases)]
+        row[places["phases"]] = self._phases[index % self.period]
         if self._frame is not None:
             row[places["frame"]] = self._frame.row(time)
         if self._planned.shape[1]:

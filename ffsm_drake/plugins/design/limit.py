@@ -28,8 +28,6 @@ from ffsm_drake.plugins.design.stability.linear_settings import smooth_sensing
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.planned_dynamics import (
     Demand,
-    PlannedDynamics,
-    from_grasp,
     make_demand,
 )
 from ffsm_drake.plugins.estimators.filter_gains import SMALLEST_RATIO
@@ -79,21 +77,20 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
     Raises: the errors of ``Linearizer`` and ``Linearizer.at``; BlockError for a controller tracking
     a frame; FfsmError for a run of one control period (its demand has no rate).
     """
-    scenario, grip = from_grasp(scenario)
-    if scenario.num_control_periods < 2:
-        raise FfsmError("the limit needs two control periods; lengthen duration")
     demand = make_demand(scenario) if demand is None else demand
-    planned, step = PlannedDynamics(scenario, grip), scenario.sample_time
-    count = scenario.num_control_periods
-    time = planned.motion.part(0.5)
-    mass, _ = planned.mass_matrices(time, locked=True)
-    walk = np.sqrt(np.mean(np.gradient(demand.lumped, step, axis=0) ** 2, axis=0) * step)
     with Linearizer(scenario) as linearizer:
+        scenario, planned = linearizer.given, linearizer.planned
+        count, step = scenario.num_control_periods, scenario.sample_time
+        if count < 2:
+            raise FfsmError("the limit needs two control periods; lengthen duration")
         if linearizer.tracks_frame:
             raise BlockError(
                 f"{scenario.controller} tracks a frame, and the limit is defined for coordinates"
             )
+        time = planned.motion.part(0.5)
         loop = linearizer.at(time, held=expected_gains(linearizer))
+    mass, _ = planned.mass_matrices(time, locked=True)
+    walk = np.sqrt(np.mean(np.gradient(demand.lumped, step, axis=0) ** 2, axis=0) * step)
     response = loop.with_random_walk(walk, mass).noise_response(count)
     noise = _sensor_noise(scenario, demand.coordinates)
     before, after = _filter(noise, walk, samples=count, sample_time=step)

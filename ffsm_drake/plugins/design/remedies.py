@@ -9,7 +9,7 @@ mildest sufficient change of each kind is reported. Saturated base actuators hav
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,9 @@ from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.plugins.design.remarks import posture_limits
+from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.design.stability.adaptation import axis_law, is_euler
+from ffsm_drake.plugins.design.stability.boundaries import feedback_gains
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.mission import LegVerdict, linear_verdict
 from ffsm_drake.plugins.design.stability.one_axis import tolerated_eta
@@ -32,7 +34,6 @@ from ffsm_drake.systems.part import Advice
 # factors, the mildest first
 _LESS = (0.9, 0.8, 0.7, 0.6, 0.5, 0.42, 0.35, 0.25, 0.15, 0.1, 0.05, 0.02)
 _TOO_LIGHT = 9  # number of these factors considered for a nominal payload
-_MUCH_LESS = (0.7, 0.5, 0.35, 0.25)
 _SOONER = (0.8, 0.5, 0.4, 0.25, 0.2, 0.1)  # factors on the sample time; they divide other durations
 _MORE = (1.1, 1.25, 1.5, 2.0, 3.0)
 _LIGHTER = "a lighter nominal payload"
@@ -74,13 +75,15 @@ def _of_the_loop(scenario: Scenario, legs: Sequence[LegVerdict]) -> Iterator[Adv
     def helps(changed: Scenario) -> bool:
         return may_help(changed) and not linear_verdict(changed).is_alarm
 
-    def acts(name: str) -> bool:
-        return declared_gains(scenario)[name].feedback
-
     for reason, trials in (
         (_too_heavy(scenario, legs[0]), _lighter(scenario)),
-        ("a smaller K_s", _smaller(scenario, lambda name: name.startswith("k_s"))),
-        ("smaller gains", _smaller(scenario, acts)),
+        (
+            "a smaller K_s",
+            _smaller(
+                scenario, [name for name in declared_gains(scenario) if name.startswith("k_s")]
+            ),
+        ),
+        ("smaller gains", _smaller(scenario, feedback_gains(scenario))),
         ("a shorter control period", _sooner(scenario)),
         ("less delay, or the right delay in the estimator", _less_delay(scenario)),
     ):
@@ -97,14 +100,11 @@ def _of_limits(scenario: Scenario) -> Iterator[Advice]:
     def stays(changed: Scenario) -> bool:
         return share_diverged(changed, seeds=MANY) == 0.0
 
-    def acts(name: str) -> bool:
-        return declared_gains(scenario)[name].feedback
-
     if stays(scenario):
         return
     for reason, trials in (
         ("larger limits", _larger_limits(scenario)),
-        ("smaller gains", _smaller(scenario, acts, _MUCH_LESS)),
+        ("smaller gains", _smaller(scenario, feedback_gains(scenario))),
         ("a longer motion", _longer(scenario)),
     ):
         yield from _first(scenario, trials, stays, reason)
@@ -179,17 +179,15 @@ def _lighter(scenario: Scenario) -> Iterator[Changes]:
     """Only the mass, then mass and inertia, down to a payload that is too light."""
     nominal = scenario.payload.nominal
     for factor in _LESS[:_TOO_LIGHT]:
-        mass = {"payload.nominal.mass": _rounded(factor * nominal.mass)}
-        inertia = [_rounded(factor * each) for each in nominal.inertia]
+        mass = {"payload.nominal.mass": rounded(factor * nominal.mass)}
+        inertia = [rounded(factor * each) for each in nominal.inertia]
         yield from (mass, {**mass, "payload.nominal.inertia": inertia})
 
 
-def _smaller(
-    scenario: Scenario, chosen: Callable[[str], bool], factors: Sequence[float] = _LESS
-) -> Iterator[Changes]:
+def _smaller(scenario: Scenario, chosen: Collection[str]) -> Iterator[Changes]:
     """Chosen gains of the law, as a whole; a K_s without a bound gets one."""
     key = controller_key(scenario.controller)
-    gains = {name: x for name, x in scenario.controllers.get(key, {}).items() if chosen(name)}
+    gains = {name: x for name, x in scenario.controllers.get(key, {}).items() if name in chosen}
     for factor in _LESS if gains else ():
         yield {
             f"controllers.{key}.{name}": _scaled(scenario, x, factor) for name, x in gains.items()
@@ -198,15 +196,15 @@ def _smaller(
 
 def _scaled(scenario: Scenario, given: Any, factor: float) -> Any:
     if given is None:
-        return _rounded(factor * 2.0 / scenario.sample_time)
+        return rounded(factor * 2.0 / scenario.sample_time)
     if isinstance(given, Mapping):
-        return {name: _rounded(factor * value) for name, value in given.items()}
-    return _rounded(factor * given)
+        return {name: rounded(factor * value) for name, value in given.items()}
+    return rounded(factor * given)
 
 
 def _sooner(scenario: Scenario) -> Iterator[Changes]:
     for factor in _SOONER:
-        yield {"sample_time": _rounded(factor * scenario.sample_time)}
+        yield {"sample_time": rounded(factor * scenario.sample_time)}
 
 
 def _less_delay(scenario: Scenario) -> Iterator[Changes]:
@@ -234,7 +232,3 @@ def _longer(scenario: Scenario) -> Iterator[Changes]:
             "reference.duration": float(duration),
             "duration": scenario.duration + duration - given,
         }
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.3g}")

@@ -10,7 +10,9 @@ from ffsm_drake.plugins.design.rounding import rounded_down
 from ffsm_drake.plugins.design.stability.boundaries import (
     LARGEST_DELAY,
     LARGEST_TRIED,
+    MASS,
     Boundaries,
+    feedback_gains,
 )
 from ffsm_drake.plugins.design.stability.disk import DiskMargins
 from ffsm_drake.plugins.design.stability.linear_loop import radius_told
@@ -18,7 +20,16 @@ from ffsm_drake.plugins.design.stability.margins import AxisMargins, Margins
 from ffsm_drake.scenario import Scenario, controller_key
 from ffsm_drake.show.style import label_of
 from ffsm_drake.show.tables import aligned
-from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains, declared_gains
+from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
+
+# parameter -> its name in the table of limits
+_PARAMETERS = {
+    "gains": "feedback gains",
+    "nominal_payload": "nominal payload",
+    "sample_time": "sample time",
+    f"{MASS}all": "masses of all flexible parts",
+    "delay": "further sensor delay",
+}
 
 
 def margins_table(margins: Margins) -> str:
@@ -107,20 +118,18 @@ def _limit_rows(boundaries: Boundaries, scenario: Scenario) -> dict[str, str]:
         more = f" ({rounded_down(value * size):.3g} {unit})" if size else ""
         return f"x {rounded_down(value):.3g}{more}"
 
-    delay = boundaries.delay
-    has_gains = any(gain.feedback for gain in declared_gains(scenario).values())
-    return {
-        "feedback gains": factor(boundaries.gains) if has_gains else "the law declares none",
-        "nominal payload": factor(boundaries.nominal_payload),
-        "sample time": factor(boundaries.sample_time, period, "ms"),
-        **{
-            f"mass of {name}" if name != "all" else "masses of all flexible parts": factor(value)
-            for name, value in boundaries.flexible_mass.items()
-        },
-        "further sensor delay": f"{counted(int(delay), 'sample')} ({delay * period:.3g} ms)"
-        if math.isfinite(delay)
-        else tried(f"{LARGEST_DELAY} samples at most"),
-    }
+    found = dict[str, str]()
+    for name, value in boundaries.values.items():
+        label = _PARAMETERS.get(name, name)
+        if name == "gains" and not feedback_gains(scenario):
+            found[label] = "the law declares none"
+        elif name != "delay":
+            found[label] = factor(value, *((period, "ms") if name == "sample_time" else ()))
+        elif math.isfinite(value):
+            found[label] = f"{counted(int(value), 'sample')} ({value * period:.3g} ms)"
+        else:
+            found[label] = tried(f"{LARGEST_DELAY} samples at most")
+    return found
 
 
 def _hidden_lines(margins: Margins, data: Mapping[str, Any]) -> list[str]:

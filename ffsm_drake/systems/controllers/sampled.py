@@ -127,12 +127,6 @@ class SampledController(LeafSystem):
         }[name]
         return np.array(context.get_discrete_state(index).value())
 
-    def remember_velocity(self, context: Context, velocity: np.ndarray) -> None:
-        """Set the memory of the previous sample's velocity (nv), desired or measured."""
-        for name in ("delayed_desired_velocity", "delayed_velocity"):
-            if name in self._memory:
-                context.SetDiscreteState(self._memory[name], velocity)
-
     def resume(
         self,
         context: Context,
@@ -171,11 +165,6 @@ class SampledController(LeafSystem):
     def memory_groups(self) -> Mapping[str, int]:
         """Return the discrete group of each piece of the law's memory, by name."""
         return {name: int(index) for name, index in self._memory.items()}
-
-    @property
-    def force_group(self) -> int:
-        """The discrete group of the force."""
-        return int(self._force)
 
     def held_groups(self) -> Mapping[str, tuple[int, float | None]]:
         """Discrete groups that a linearisation holds, name -> (group, value), see

@@ -10,9 +10,10 @@ import pytest
 
 from ffsm_drake import load_scenario
 from ffsm_drake.plugins.compiled.sample import TracedSample
-from ffsm_drake.plugins.design.stability import linearization, traced
+from ffsm_drake.plugins.design.stability import linearization
 from ffsm_drake.plugins.design.stability.linear_settings import without_limits
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.design.stability.sampled_loop import SampledLoop, traced_sample
 from ffsm_drake.scenario import HELD
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
 
@@ -76,13 +77,12 @@ def differences(sample, index, state, entry):
 def check_derivative(name, law, overrides):
     with Linearizer(load_scenario(name, [f"controller={law}", *overrides])) as linearizer:
         assert linearizer.is_exact
-        loop, sample = linearizer._loop, linearizer._loop._sample
+        loop, sample = linearizer._loop, linearizer._loop.sample
         first = round(linearizer.part(0.4) / sample.sample_time)
-        loop.place(first, {})
-        for each in range(5):
-            loop.go_on(first + each, {})
-        held = [sample.memory[name] for name in linearizer.law.held()]
-        index, state = first + 5, loop.save()
+        state = loop.placed(first, {})
+        for index in range(first, first + 5):
+            state, _ = loop.after(index, state, {})
+        held, index = [part for part, _ in sample.held.values()], first + 5
         _, found = sample.derivative(index, state)
         free = np.ones(sample.size, dtype=bool)
         for part in held:
@@ -155,6 +155,7 @@ def test_the_slope_of_the_momentum(name):
     """Against differences of Drake's momentum, for drawn states and payloads."""
     rng, scenario = np.random.default_rng(0), load_scenario(name, ["controller=tdc", *SHORT])
     sample = TracedSample(scenario, scenario)
+    loop = SampledLoop(sample, scenario, HELD)
     for truth in (None, dataclasses.replace(scenario.payload.truth, mass=40.0)):
         own = (
             scenario.payload
@@ -173,7 +174,7 @@ def test_the_slope_of_the_momentum(name):
         steps = 1e-5 * np.eye(model.plant.num_multibody_states())
         expected = [(momentum(step) - momentum(-step)) / 2e-5 for step in steps]
         np.testing.assert_allclose(
-            sample.momentum_slope(state, truth), np.transpose(expected), rtol=1e-7, atol=1e-6
+            loop.momentum_slope(state, truth), np.transpose(expected), rtol=1e-7, atol=1e-6
         )
 
 
@@ -195,7 +196,7 @@ def test_the_code_of_a_run_without_its_limit(name):
     """The sample of a run whose limit of force is infinite is that of a scenario without one."""
     given = load_scenario(name, ["controller=tdc", "actuation.limit={all: 1.0e-3}", *SHORT])
     bare = without_limits(given)
-    own, shared = (traced.traced_sample(bare, each, HELD) for each in (bare, given))
+    own, shared = (traced_sample(bare, each, HELD) for each in (bare, given))
     changed = own.start + 1e-3 * np.random.default_rng(0).standard_normal(own.size)
     for one, other in zip(own.derivative(3, changed), shared.derivative(3, changed), strict=True):
         for expected, found in zip(one, other, strict=True):

@@ -129,7 +129,7 @@ def test_a_loop_that_is_unstable_where_it_rests():
 def test_the_bounds_of_adaptation_count():
     scenario = load_scenario("flight_sensors", [*LATE, EIGHTFOLD])
     with Linearizer(scenario) as linearizer:
-        assert motion_stability(linearizer).is_stable
+        assert motion_stability(linearizer).worst.spectral_radius < 1.0
     found = leg(scenario)
     assert found.status == "unstable"
     assert "K_s at its bounds" in found.sentence

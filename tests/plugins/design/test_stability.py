@@ -348,17 +348,6 @@ def test_simulate_warns_once_and_only_when_there_is_reason(recwarn):
             "the loop diverges from the plan within 5 samples",
         ),
         (["stability", "nowhere"], 2, "error: nowhere: no such scenario; give a YAML file"),
-        (
-            ["stability", "--set", "controllers.tdc.kd=1"],
-            2,
-            "controllers.tdc.kd: unknown gain; tdc has k_d",
-        ),
-        (
-            ["stability", "--set", "controllers.tde_aismc.k_d.joint_9=1"],
-            2,
-            "joint_9: unknown coordinate",
-        ),
-        (["stability", "--controller", "pid"], 2, "controller: 'pid' is unknown"),
     ],
 )
 def test_command_line(arguments, code, words):

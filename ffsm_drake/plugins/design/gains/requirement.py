@@ -1,8 +1,7 @@
 """The requirements of a design, and the ranking of designs."""
 
 import dataclasses
-import functools
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -13,11 +12,7 @@ from ffsm_drake.plugins.design.stability.boundaries import (
     LARGEST_FACTOR,
     Boundaries,
     probed_radius,
-    with_delay,
-    with_flexible_mass,
-    with_gains,
-    with_nominal_payload,
-    with_sample_time,
+    variations,
 )
 from ffsm_drake.plugins.design.stability.prediction import Prediction
 from ffsm_drake.plugins.design.stability.rehearsal import Rehearsal
@@ -31,7 +26,6 @@ TOLERANCE = 1.02
 # Standard deviations of the noise's force that limited actuators shall give beside the motion's.
 ROOM = 3.0
 _MARGINS = {
-    "gains": "factor on the gains",
     "nominal_payload": "factor on the nominal payload",
     "sample_time": "factor on the control period",
     "delay": "delay of the sensors",
@@ -89,8 +83,9 @@ class Baseline:
         """The given margins and those of other boundaries (None: the same): name -> (given,
         other).
         """
-        after = dict(_margins_of(boundaries or self.boundaries))
-        return {name: (before, after[name]) for name, before in _margins_of(self.boundaries)}
+        after = (boundaries or self.boundaries).values
+        before = self.boundaries.values
+        return {_label(name): (value, after[name]) for name, value in before.items()}
 
     def margin_lost_by(self, scenario: Scenario) -> str:
         """The first margin violated by another scenario, one line; empty if all are kept.
@@ -99,29 +94,13 @@ class Baseline:
         """
         if "margins" in self.trade:
             return ""
-        scenario, known = complete_gains(scenario), self.boundaries
-
-        def factor(value: float) -> float:
-            return min(value, LARGEST_FACTOR / 1.4) / TOLERANCE
-
-        further = int(min(known.delay, LARGEST_DELAY))
-        changes: dict[str, Callable[[], Scenario]] = {
-            "gains": lambda: with_gains(scenario, factor(known.gains)),
-            "delay": lambda: with_delay(scenario, scenario.sensing.delay + further),
-            "sample_time": lambda: with_sample_time(scenario, factor(known.sample_time)),
-            "nominal_payload": lambda: with_nominal_payload(
-                scenario, factor(known.nominal_payload)
-            ),
-        }
-        for name, value in known.flexible_mass.items():
-            names = [each for each in known.flexible_mass if each != "all"]
-            heavier = names if name == "all" else [name]
-            changes[f"factor on the mass of {name}"] = functools.partial(
-                with_flexible_mass, scenario, heavier, factor(value)
-            )
-        for name, change in changes.items():
-            if not self._is_stable(change()):
-                return f"smaller margin than with the current gains: {_MARGINS.get(name, name)}"
+        known = self.boundaries.values
+        for name, vary in variations(complete_gains(scenario)).items():
+            size = min(known[name], LARGEST_FACTOR / 1.4) / TOLERANCE
+            if name == "delay":
+                size = min(known[name], LARGEST_DELAY)
+            if not self._is_stable(vary(size)):
+                return f"smaller margin than with the current gains: {_label(name)}"
         return ""
 
     def _is_stable(self, scenario: Scenario) -> bool:
@@ -131,12 +110,8 @@ class Baseline:
             return True
 
 
-def _margins_of(boundaries: Boundaries) -> Iterator[tuple[str, float]]:
-    """Names and values of the margins."""
-    for name, label in _MARGINS.items():
-        yield label, getattr(boundaries, name)
-    for part, value in boundaries.flexible_mass.items():
-        yield f"factor on the mass of {part}", value
+def _label(parameter: str) -> str:
+    return _MARGINS.get(parameter, f"factor on the {parameter}")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

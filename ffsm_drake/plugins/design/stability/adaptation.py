@@ -3,7 +3,7 @@ variable.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -107,33 +107,20 @@ def forecast_reaching_gain(
     switching = law.initial_state().get("switching_gain", np.zeros(size))
     drift = planned.drift(times)
     grid = np.linspace(1.0, 2.0 / scenario.sample_time, 20)
-    response = _interpolated(grid, np.stack(_sliding_response(law, planned, loop, grid)))
+    curves = np.stack(_sliding_response(law, planned, loop, grid))
     k_s = np.empty((points, size))
     k_s[0] = gain.start
     for j in range(points - 1):
         now, step = k_s[j], times[j + 1] - times[j]
-        sigma, per_drift, per_sign = response(now)
+        sigma, per_drift, per_sign = np.array([
+            [np.interp(x, grid, own) for x, own in zip(now, curve.T, strict=True)]
+            for curve in curves
+        ])  # fmt: skip
         mean = np.hypot(drift[j] * per_drift, switching * per_sign)
         seen = _mean_signed_magnitude(mean, sigma, gain.rest(now))
         after = np.maximum(now + gain.rate * seen * step, 0.0)
         k_s[j + 1] = np.minimum(np.minimum(after, gain.largest), grid[-1])
     return times, np.where(k_s < grid[-1], k_s, np.minimum(gain.largest, _RUN_AWAY * grid[-1]))
-
-
-def _interpolated(grid: np.ndarray, curves: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Linear interpolation of curves (m, k, n) over a grid (k,), constant beyond it: x (n) -> (m,
-    n), the i-th number for the i-th curves.
-    """
-    slopes = np.diff(curves, axis=1) / np.diff(grid)[:, None]
-    each = np.arange(curves.shape[2])
-
-    def at(x: np.ndarray) -> np.ndarray:
-        inside = np.clip(x, grid[0], grid[-1])
-        left = np.minimum(np.searchsorted(grid, inside, side="right") - 1, grid.size - 2)
-        values: np.ndarray = curves[:, left, each] + slopes[:, left, each] * (inside - grid[left])
-        return values
-
-    return at
 
 
 def _mean_signed_magnitude(

@@ -24,6 +24,7 @@ LARGEST_DELAY = 30  # control samples
 _RATIO = 1.3  # ratio of successive factors in the search
 LARGEST_TRIED = _RATIO ** math.floor(math.log(LARGEST_FACTOR, _RATIO))
 _ACCURACY = 1e-3  # relative accuracy of a factor
+MASS = "mass of "  # before the name of a flexible part: its parameter
 _FAST = 100.0  # log of a spectral radius, in place of an infinite one
 
 
@@ -44,6 +45,13 @@ class Boundaries:
     delay: float
     # the same at the starting K_s; None: adaptation cannot change it, or does not count
     starting: "Boundaries | None" = None
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameter -> limit, see ``variations``."""
+        masses = {f"{MASS}{name}": value for name, value in self.flexible_mass.items()}
+        factors = {name: getattr(self, name) for name in _FACTORS}
+        return {**factors, **masses, "delay": self.delay}
 
 
 @step("computing stability limits")
@@ -71,60 +79,61 @@ def find_boundaries(
 
 
 def _find(scenario: Scenario, times: Sequence[float], *, adapted: bool) -> Boundaries:
+    masses = dict[str, float]()
+    found: dict[str, Any] = {**dict.fromkeys(_FACTORS, math.nan), "delay": math.nan}
+    if _radius(scenario, times, adapted=adapted) < 1.0:
+        found["gains"] = math.inf
+        for name, vary in variations(scenario).items():
+            with step(name.replace("_", " ")):
+                limit = _limit(name, vary, times, adapted=adapted)
+            (masses if name.startswith(MASS) else found)[name.removeprefix(MASS)] = limit
+    return Boundaries(**found, flexible_mass=masses)
+
+
+def variations(scenario: Scenario) -> dict[str, Callable[[float], Scenario]]:
+    """What is varied, by parameter: factor -> the scenario with that times the factor; ``delay``:
+    further control samples, unknown to the estimator. The gains of the scenario must be complete.
+    """
     heavy = [
         name for name, part in scenario.model.flexible.items() if part.kind not in ("joint", "gear")
     ]
     parts = {name: [name] for name in heavy} | ({"all": heavy} if len(heavy) > 1 else {})
-
-    def radius(changed: Scenario) -> float:
-        return probed_radius(changed, times, adapted=adapted)
-
-    def largest_mass(names: Collection[str]) -> float:
-        return _largest_factor(lambda factor: radius(with_flexible_mass(scenario, names, factor)))
-
-    if _radius(scenario, times, adapted=adapted) >= 1.0:
-        nan = float("nan")
-        return Boundaries(
-            gains=nan, nominal_payload=nan, sample_time=nan, flexible_mass={}, delay=nan
-        )
-    has_gains = any(gain.feedback for gain in declared_gains(scenario).values())
-    with step("feedback gains"):
-        gains = float("inf")
-        if has_gains:
-            gains = _largest_factor(lambda factor: radius(with_gains(scenario, factor)))
-    with step("nominal payload"):
-        nominal_payload = _largest_payload(scenario, radius)
-    with step("sample time"):
-        sample_time = _largest_factor(lambda factor: radius(with_sample_time(scenario, factor)))
-    with step("flexible masses"):
-        flexible_mass = {label: largest_mass(names) for label, names in parts.items()}
-    with step("sensor delay"):
-        delay = _largest_delay(scenario, radius)
-    return Boundaries(
-        gains=gains,
-        nominal_payload=nominal_payload,
-        sample_time=sample_time,
-        flexible_mass=flexible_mass,
-        delay=delay,
-    )
+    factors = dict(_FACTORS)
+    if not feedback_gains(scenario):
+        del factors["gains"]
+    return {
+        **{name: functools.partial(change, scenario) for name, change in factors.items()},
+        **{
+            f"{MASS}{name}": functools.partial(with_flexible_mass, scenario, names)
+            for name, names in parts.items()
+        },
+        "delay": lambda further: with_delay(scenario, scenario.sensing.delay + int(further)),
+    }
 
 
-def largest_payload(scenario: Scenario, *, time: float) -> float:
-    """``Boundaries.nominal_payload`` at the starting K_s alone. Errors: see ``find_boundaries``."""
-    return _alone(_largest_payload, scenario, time)
+def feedback_gains(scenario: Scenario) -> list[str]:
+    """Names of the feedback gains that a scenario's law declares."""
+    return [name for name, gain in declared_gains(scenario).items() if gain.feedback]
 
 
-def largest_delay(scenario: Scenario, *, time: float) -> float:
-    """``Boundaries.delay`` at the starting K_s alone. Errors: see ``find_boundaries``."""
-    return _alone(_largest_delay, scenario, time)
-
-
-def _alone(
-    limit: Callable[[Scenario, Callable[[Scenario], float]], float], scenario: Scenario, time: float
-) -> float:
+def largest_stable(scenario: Scenario, parameter: str, *, time: float) -> float:
+    """One limit (``Boundaries.values``) at the starting K_s. Errors: see ``find_boundaries``."""
     if _radius(scenario, [time], adapted=False) >= 1.0:
-        return float("nan")
-    return limit(scenario, lambda changed: probed_radius(changed, [time], adapted=False))
+        return math.nan
+    return _limit(parameter, variations(scenario)[parameter], [time], adapted=False)
+
+
+def _limit(
+    parameter: str,
+    vary: Callable[[float], Scenario],
+    times: Sequence[float],
+    *,
+    adapted: bool,
+) -> float:
+    def radius(size: float) -> float:
+        return probed_radius(vary(size), times, adapted=adapted)
+
+    return _largest_delay(radius) if parameter == "delay" else _largest_factor(radius)
 
 
 def _radius(scenario: Scenario, times: Sequence[float], *, adapted: bool) -> float:
@@ -157,29 +166,24 @@ def probed_radius(changed: Scenario, times: Sequence[float], *, adapted: bool) -
         return math.inf
 
 
-def _largest_payload(scenario: Scenario, radius: Callable[[Scenario], float]) -> float:
-    return _largest_factor(lambda factor: radius(with_nominal_payload(scenario, factor)))
-
-
-def _largest_delay(scenario: Scenario, radius: Callable[[Scenario], float]) -> float:
+def _largest_delay(radius: Callable[[float], float]) -> float:
     for further in range(1, LARGEST_DELAY + 1):
         try:
-            if radius(with_delay(scenario, scenario.sensing.delay + further)) >= 1.0:
+            if radius(further) >= 1.0:
                 return float(further - 1)
         except TooLarge:  # not an instability: the search range ends
             break
-    return float("inf")
+    return math.inf
 
 
 def with_gains(scenario: Scenario, factor: float) -> Scenario:
     """The scenario with every feedback gain of its controller times a factor. Its gains must be
     complete.
     """
-    declared = declared_gains(scenario)
-    key = controller_key(scenario.controller)
+    feedback, key = feedback_gains(scenario), controller_key(scenario.controller)
 
     def scale(name: str, value: Any) -> Any:
-        if not declared[name].feedback or value is None:
+        if name not in feedback or value is None:
             return value
         return {each: factor * number for each, number in value.items()}
 
@@ -199,6 +203,14 @@ def with_nominal_payload(scenario: Scenario, factor: float) -> Scenario:
 def with_sample_time(scenario: Scenario, factor: float) -> Scenario:
     """The scenario with its control period times a factor."""
     return dataclasses.replace(scenario, sample_time=factor * scenario.sample_time)
+
+
+# Parameters that are factors.
+_FACTORS: Mapping[str, Callable[[Scenario, float], Scenario]] = {
+    "gains": with_gains,
+    "nominal_payload": with_nominal_payload,
+    "sample_time": with_sample_time,
+}
 
 
 def with_flexible_mass(scenario: Scenario, names: Collection[str], factor: float) -> Scenario:

@@ -4,33 +4,36 @@ the next.
 Its state is all state with feedback: the plant's (its attitude as a small rotation) with hidden
 coordinates, the controller's and its estimator's, delays, actuators. ``ControlLaw.held`` (gains
 under adaptation, sign terms) is constant. Noise is an input. The map is exact where the loop is
-compiled (``traced``), else it is made of finite differences (``differences``).
+compiled, else it is made of finite differences (``sampled_loop``).
 """
 
-import contextlib
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
 
-from ffsm_drake.common.errors import BlockError, FfsmError, one_line
+from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of, settle_faults
 from ffsm_drake.plugins.actuators.mean import make_mean_actuation
-from ffsm_drake.plugins.design.stability.differences import DifferencedLoop
+from ffsm_drake.plugins.design.stability.drake_sample import DrakeSample
 from ffsm_drake.plugins.design.stability.linear_loop import (
     WARM_UP,
     LinearLoop,
     NotLinear,
-    SampleMap,
 )
 from ffsm_drake.plugins.design.stability.linear_settings import without_limits
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
-from ffsm_drake.plugins.design.stability.traced import TracedLoop, agrees, traced_sample
+from ffsm_drake.plugins.design.stability.sampled_loop import (
+    Held,
+    SampledLoop,
+    agrees,
+    traced_sample,
+)
 from ffsm_drake.scenario import EMPTY, Grip, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
@@ -93,25 +96,28 @@ class Linearizer:
         if approach:  # its last instant is before the grasp
             self.end = max(0.0, self.end - WARM_UP * self.scenario.sample_time)
         # held memory -> control sample -> instant after a warm-up
-        self._warm = dict[Hashable, dict[int, Any]]()
+        self._warm = dict[Hashable, dict[int, np.ndarray]]()
         # held memory, and first control sample of a warm-up -> sample at which it has diverged
         self._lost = dict[Hashable, int]()
         self._loops = dict[Hashable, LinearLoop]()
 
-    def _made(self, sample: Any, blocks: Mapping[str, Factory]) -> TracedLoop | DifferencedLoop:
+    def _made(self, sample: Any, blocks: Mapping[str, Factory]) -> SampledLoop:
         """The loop as code if there is a traced sample, else as Drake's diagram."""
 
-        def differenced() -> DifferencedLoop:
-            return DifferencedLoop(self.scenario, self.motion, self.grip, blocks=blocks)
+        def on_drake() -> SampledLoop:
+            own = DrakeSample(self.scenario, self.motion, self.grip, blocks=blocks)
+            return SampledLoop(own, self.scenario, self.grip)
 
-        if sample is not None and agrees(loop := TracedLoop(sample), differenced):
-            return loop
-        return differenced()
+        if sample is not None:
+            loop = SampledLoop(sample, self.scenario, self.grip)
+            if agrees(loop, on_drake):
+                return loop
+        return on_drake()
 
     @property
     def is_exact(self) -> bool:
         """Whether the maps are exact derivatives; else finite differences."""
-        return isinstance(self._loop, TracedLoop)
+        return self._loop.is_exact
 
     @property
     def user_supplied(self) -> Sequence[Any]:
@@ -156,26 +162,20 @@ class Linearizer:
         self, first: int, held: Mapping[str, np.ndarray], truth: MassProperties | None
     ) -> LinearLoop:
         """The loop after a warm-up that begins on the plan at a control sample."""
+        index = first + WARM_UP
         try:
             with guarded, np.errstate(over="ignore", invalid="ignore"):
-                warmed_up = functools.partial(self._warmed_up, first + WARM_UP, held)
-                samples = self._loop.samples(first, held, truth, warmed_up)
-        except FfsmError as error:
-            # a user-supplied block may fail because the loop has diverged
-            if not isinstance(error, BlockError) or not self._has_diverged(self._loop.known):
-                raise
-            samples = self._unknown()
+                samples = self._loop.maps(index, self._warmed_up(index, held), held, truth)
+        except FfsmError:
+            raise
         except (Exception, SystemExit) as error:
-            # Drake refuses some numbers that are not finite by SystemExit
-            if not self._has_diverged(self._loop.known):
-                reason = f"{type(error).__name__}: {one_line(error)}"
-                named = [f"blocks.{name} '{each.system}'" for name, each in self._choices.items()]
-                suspects = " or ".join([*named, self.scenario.controller])
-                raise NotLinear(f"{suspects}: the loop cannot be linearised: {reason}") from error
-            samples = self._unknown()
+            reason = f"{type(error).__name__}: {one_line(error)}"
+            named = [f"blocks.{name} '{each.system}'" for name, each in self._choices.items()]
+            suspects = " or ".join([*named, self.scenario.controller])
+            raise NotLinear(f"{suspects}: the loop cannot be linearised: {reason}") from error
         return LinearLoop(
             coordinates=self.coordinates,
-            time=(first + WARM_UP) * self.scenario.sample_time,
+            time=index * self.scenario.sample_time,
             sample_time=self.scenario.sample_time,
             samples=samples,
             hidden=self._loop.hidden,
@@ -183,13 +183,6 @@ class Linearizer:
             memory=self._loop.parts_of_memory,
             noise=self._loop.noise,
         )
-
-    def _has_diverged(self, known: Callable[[], np.ndarray]) -> bool:
-        """Whether the plant moves as no motion does, or its state is none: numbers that overflow in
-        a user-supplied block may still be finite here.
-        """
-        velocity = known()[len(self.coordinates.position_names) :]
-        return not np.abs(velocity).max() <= self.scenario.divergence_speed  # true for NaN too
 
     def refuse_marginal(self, loop: LinearLoop) -> None:
         """Raise NotLinear where small errors near a loop of this linearizer, at rest, neither grow
@@ -208,14 +201,6 @@ class Linearizer:
             f"{systems}: errors neither grow nor decay at rest, as if the block acted at few "
             "samples; declare its period"
         )
-
-    def _unknown(self) -> tuple[SampleMap, ...]:
-        """The map of a loop that diverged within the warm-up."""
-        states, noises = self._loop.size, self._loop.num_noise
-        forces = len(self.coordinates.names)
-        shapes = {"a": (states, states), "b": (states, noises)}
-        shapes |= {"c": (forces, states), "d": (forces, noises)}
-        return (SampleMap(**{name: np.full(shape, np.nan) for name, shape in shapes.items()}),)
 
     def along(
         self,
@@ -244,45 +229,38 @@ class Linearizer:
         nv, period = len(self.coordinates.names), self.scenario.sample_time
         states, force = np.full((count, nv + 1), np.nan), np.full((count, nv), np.nan)
         desired = self.motion.rows(np.arange(count) * period)[:, : nv + 1]
-        way = self._loop.from_start(held or {})
-        with self._until_divergence(way.known), guarded, np.errstate(all="ignore"):
-            for index in range(count):
-                if self._has_diverged(way.known):
-                    break
-                states[index] = way.known()[: nv + 1]
-                force[index] = way.go_on(index)
-        return position_errors(desired, states), force
-
-    @contextlib.contextmanager
-    def _until_divergence(self, known: Callable[[], np.ndarray]) -> Iterator[None]:
-        """End the block when the loop has diverged. Raises BlockError: a user-supplied block fails
-        before that.
-        """
+        loop, held = self._loop, held or {}
         try:
-            yield
-        except BlockError:
-            if not self._has_diverged(known):
-                raise
+            with guarded, np.errstate(all="ignore"):
+                state = loop.first(held)
+                for index in range(count):
+                    if loop.has_diverged(state):
+                        break
+                    states[index] = loop.known(state)[: nv + 1]
+                    state, force[index] = loop.after(index, state, held)
+        except FfsmError:
+            raise
         except (Exception, SystemExit):
             pass
+        return position_errors(desired, states), force
 
-    def _warmed_up(self, index: int, held: Mapping[str, np.ndarray]) -> Any:
-        """The instant just before the update at a control sample, after the shortest warm-up with
+    def _warmed_up(self, index: int, held: Held) -> np.ndarray:
+        """The state just before the update at a control sample, after the shortest warm-up with
         the plant on the plan at its end, or the longest without leading it away.
 
         A warm-up begins on the plan or, if a former one ended there on the way, goes on from it.
         One from where the motion begins comes last: at rest the first samples do little harm.
         """
         start, count, least = round(self.begin / self.scenario.sample_time), WARM_UP, math.inf
-        former, found = self._warm.setdefault(content_of(held), {}), self._loop.start
+        former, found = self._warm.setdefault(content_of(held), {}), self._loop.sample.start
         while True:
             first = max(min(start, index - WARM_UP), index - count)
             known = max((each for each in former if first <= each < index), default=None)
             is_short = count == WARM_UP
             if known is None or is_short:
-                self._loop.place(first, held)
+                state = self._loop.placed(first, held)
             else:
-                self._loop.load(former[known])
+                state = former[known]
                 first = start = known
             way = content_of((held, first))
             if not is_short and index >= self._lost.get(way, index + 1):
@@ -290,18 +268,17 @@ class Linearizer:
                     return found
                 count = index - start
                 continue
-            with contextlib.nullcontext() if is_short else self._until_divergence(self._loop.known):
-                for earlier in range(first, index):
-                    before = self._off_plan(earlier)
-                    self._loop.go_on(earlier, held)
-            off = np.abs(self._off_plan(index) - before) / self.scenario.sample_time
+            for earlier in range(first, index):
+                before = self._off_plan(earlier, state)
+                state, _ = self._loop.after(earlier, state, held)
+            off = np.abs(self._off_plan(index, state) - before) / self.scenario.sample_time
             largest = float(off[self.coordinates.is_driven].max(initial=0.0))
-            diverged = self._has_diverged(self._loop.known)
+            diverged = self._loop.has_diverged(state)
             if diverged:
                 self._lost[way] = index
             stays = largest <= _FARTHER * least and not diverged
             if stays or is_short:
-                found, least = self._loop.save(), min(least, largest)
+                found, least = state, min(least, largest)
             if stays and (largest <= _OFF or self.tracks_frame):
                 former[index] = found
                 return found
@@ -309,10 +286,9 @@ class Linearizer:
                 return found
             count = count * _LONGER if stays else index - start
 
-    def _off_plan(self, index: int) -> np.ndarray:
-        """The velocity beside the plan's at a control sample (nv)."""
-        known = self._loop.known()
-        nq = len(self.coordinates.position_names)
+    def _off_plan(self, index: int, state: np.ndarray) -> np.ndarray:
+        """The velocity of a state beside the plan's at a control sample (nv)."""
+        known, nq = self._loop.known(state), len(self.coordinates.position_names)
         planned = self.motion.row(index * self.scenario.sample_time)[: known.size]
         velocity: np.ndarray = known[nq:] - planned[nq:]
         return velocity

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
 from ffsm_drake.scenario import Scenario, controller_key, override_scenario
@@ -170,7 +171,7 @@ def _softer(
         room = load.limit - min(load.motion, _WANTED * load.limit)
         was = float(given["k_d"][own].max()) / unit["k_d"]
         least = load.inertia * _NOISE_PEAK * max(load.noise, 1e-12)
-        omega, reasons = _rounded(min(was, math.sqrt(room / least))), list[str]()
+        omega, reasons = rounded(min(was, math.sqrt(room / least))), list[str]()
         if omega < 0.95 * was:
             reasons.append(f"bandwidth of {group} {omega:g} instead of {was:.3g} rad/s")
         k_s = 0.0
@@ -181,13 +182,13 @@ def _softer(
             amplitude = _run_away(was, gain, acceleration)
             if k_s < 0.95 * gain:
                 reasons.append(
-                    f"K_s {_rounded(k_s):g} instead of {gain:.3g} 1/s: saturation is unstable "
+                    f"K_s {rounded(k_s):g} instead of {gain:.3g} 1/s: saturation is unstable "
                     "beyond "
                     f"errors of {_run_away(omega, k_s, acceleration):.2g} instead of "
                     f"{amplitude:.2g} {coordinates.units[own][0]}"
                 )
         if reasons:
-            values = law.gains_for(omega, _rounded(k_s))
+            values = law.gains_for(omega, rounded(k_s))
             changes = [
                 _changed_gain(scenario, name, group, value)
                 for name, value in values.items()
@@ -221,7 +222,3 @@ def _largest_k_s(omega: float, acceleration: float, amplitude: float) -> float:
     most = 4.0 / math.pi * acceleration
     beyond = amplitude * omega**2 - most
     return most * 2.0 * omega / beyond if beyond > 0.0 else math.inf
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.3g}")

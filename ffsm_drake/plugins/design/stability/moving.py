@@ -100,12 +100,6 @@ class MotionStability:
         exponent = float((total - np.minimum.accumulate(total)).max())
         return math.exp(exponent) if exponent < 700.0 else math.inf
 
-    @property
-    def is_stable(self) -> bool:
-        """Whether the loop is stable at both ends, and errors grow little on the way."""
-        ends = self.loops[0].spectral_radius, self.loops[-1].spectral_radius
-        return max(ends) < 1.0 and self.growth < LARGE_GROWTH
-
 
 def motion_stability(
     linearizer: Linearizer, *, held: Mapping[str, np.ndarray] | None = None
