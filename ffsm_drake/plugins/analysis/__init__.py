@@ -4,10 +4,12 @@
 during a simulation.
 """
 
+import functools
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from ffsm_drake.common.steps import step
-from ffsm_drake.plugins.analysis.findings import TITLES, Analysis, Finding
+from ffsm_drake.plugins.analysis.findings import TITLES, Analysis, Evaluated, Finding, evaluated
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
@@ -39,6 +41,19 @@ def analyze(record: "RunRecord") -> Analysis:
     from ffsm_drake.plugins.analysis.evidence import Evidence
 
     run = Evidence(record)
-    subjects = (inertia, estimation, sliding_mode, lyapunov, chattering, balances)
-    found = {finding.key: finding for subject in subjects for finding in subject.findings(run)}
-    return Analysis(findings=tuple(found[key] for key in TITLES), series=run.dataset())
+    functions: dict[str, Callable[[Evidence], Evaluated]] = {
+        "condition_8": inertia.condition_8,
+        "tde_error_bound": estimation.tde_error_bound,
+        "reaching_law": sliding_mode.reaching_law,
+        "lyapunov_derivative": lyapunov.derivative,
+        "ultimate_bound": lyapunov.ultimate,
+        "direct_bound": sliding_mode.direct,
+        "lemma_1_premise": lyapunov.premise,
+        "lemma_1_conclusion": lyapunov.conclusion,
+        "switching_gain_bound": sliding_mode.switching_gain,
+        "chattering": chattering.chattering,
+        "momentum_balance": balances.momentum,
+        "energy_balance": balances.energy,
+    }
+    found = [evaluated(key, functools.partial(functions[key], run)) for key in TITLES]
+    return Analysis(findings=tuple(found), series=run.dataset())

@@ -1,19 +1,19 @@
 """Momentum and energy balances, which check the integrator."""
 
-import itertools
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ffsm_drake.common.products import times
 from ffsm_drake.plugins.analysis.evidence import Evidence, ratio
-from ffsm_drake.plugins.analysis.findings import Finding, finding, not_applicable
+from ffsm_drake.plugins.analysis.findings import Evaluated, NotApplicable
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.runs.table import held_force, with_role
 from ffsm_drake.spacecraft.coordinates import (
     BASE_POSITION,
     BASE_ROTATION,
     NUM_BASE_VELOCITIES,
-    position_error,
+    position_errors,
 )
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.part import INTERNAL_TORQUE, INTERNAL_WORK, STORED_ENERGY
@@ -26,16 +26,6 @@ if TYPE_CHECKING:
 # shipped scenarios by 1e-10.
 TOLERANCE = 1e-6
 _MAX_SAMPLES = 200  # samples of a run, at most
-
-
-def displacements(position: np.ndarray) -> np.ndarray:
-    """Integral of v over each period (n - 1, nv) from the configurations (n, nq).
-
-    Exact except for the base's rotation, whose rotation vector differs from the integral of w by
-    L^3 |w x dw/dt| / 12.
-    """
-    rows = [position_error(after, before) for before, after in itertools.pairwise(position)]
-    return np.array(rows).reshape(-1, position.shape[1] - 1)
 
 
 def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
@@ -72,7 +62,10 @@ def energy_residual(dataset: "xr.Dataset") -> dict[str, np.ndarray]:
         mean = mean - np.diff(slope, axis=0) / 12.0
     work = _summed(dataset, INTERNAL_WORK)
     energy = energy - (work - work[0])
-    moved = displacements(dataset["position"].values)
+    # exact except for the base's rotation, whose rotation vector differs from the integral of w by
+    # L^3 |w x dw/dt| / 12
+    position = dataset["position"].values
+    moved = position_errors(position[1:], position[:-1])
     middle = 0.5 * period * (velocity[1:] + velocity[:-1])
     return {
         "residual": energy - energy[0] - _since_start(mean * moved + correlation),
@@ -107,10 +100,10 @@ def absolute_impulse(dataset: "xr.Dataset") -> dict[str, float]:
     for name in with_role(dataset, INTERNAL_TORQUE):  # which is not external
         torque = torque - dataset[name].values
     arm = dataset["position"].sel(position_name=list(BASE_POSITION)).values
-    about_origin = torque + np.cross(arm, force)
+    impulses = {"linear": force, "angular": torque + np.cross(arm, force)}
     return {
         name: float(np.linalg.norm(values[:-1], axis=1).sum() * period)
-        for name, values in (("linear", force), ("angular", about_origin))
+        for name, values in impulses.items()
     }
 
 
@@ -121,64 +114,61 @@ def exchanged_momentum(run: Evidence) -> dict[str, float]:
     About the base's origin, N s and N m s; the scale for a momentum residual when no external
     force acts.
     """
-    velocity = run.values("velocity").copy()
+    every = slice(None, None, max(1, len(run.time) // _MAX_SAMPLES))
+    velocity = run.values("velocity")[every].copy()
     velocity[:, :NUM_BASE_VELOCITIES] = 0.0
-    every = max(1, len(velocity) // _MAX_SAMPLES)
-    model = make_nominal_plant(run.scenario)
-    rows = zip(run.values("position")[::every], velocity[::every], strict=True)
-    momentum = np.array([(model.calc_mass_matrix(q) @ v)[:NUM_BASE_VELOCITIES] for q, v in rows])
-    sizes = (float(np.linalg.norm(part, axis=1).max()) for part in np.split(momentum, 2, axis=1))
-    return dict(zip(("angular", "linear"), sizes, strict=True))
+    mass_matrix = make_nominal_plant(run.scenario).calc_mass_matrix(run.values("position")[every])
+    momentum = times(mass_matrix, velocity)[:, :NUM_BASE_VELOCITIES].reshape(-1, 2, 3)
+    sizes = np.linalg.norm(momentum, axis=2).max(axis=0)
+    return dict(zip(("angular", "linear"), sizes.tolist(), strict=True))
 
 
-def findings(run: Evidence) -> list[Finding]:
-    """``momentum_balance`` and ``energy_balance``, for any controller."""
+def _require_samples(run: Evidence) -> None:
     if len(run.time) < 4:
-        reason = f"the integrals need 4 samples, the record has {len(run.time)}"
-        return not_applicable(reason, "momentum_balance", "energy_balance")
-    return [_momentum(run), _energy(run)]
+        raise NotApplicable(f"the integrals need 4 samples, the record has {len(run.time)}")
 
 
-def _momentum(run: Evidence) -> Finding:
+def momentum(run: Evidence) -> Evaluated:
+    """The momentum balance, for any controller."""
+    _require_samples(run)
     impulse, within = absolute_impulse(run.data), "of the summed impulse"
     if run.coordinates.undriven:
         within = "of the summed impulse and what the arm's motion gives the base"
         impulse = {name: impulse[name] + size for name, size in exchanged_momentum(run).items()}
-    numbers = {"tolerance": TOLERANCE}
+    numbers: dict[str, Any] = {"tolerance": TOLERANCE}
     for name, residual in momentum_residual(run.data).items():
         size = np.linalg.norm(residual, axis=1)
         run.add(**{f"{name}_momentum_residual": size})
         numbers |= {
-            f"{name}_residual": float(size.max()),
+            f"{name}_residual": size.max(),
             f"{name}_impulse": impulse[name],
-            f"{name}_ratio": ratio(float(size.max()), impulse[name]),
+            f"{name}_ratio": ratio(size.max(), impulse[name]),
         }
-    return finding(
-        "momentum_balance",
+    statement = (
         "Momentum follows the impulse of the external forces within {linear_residual:.2g} N s and "
-        "{angular_residual:.2g} N m s, {linear_ratio:.2g} and {angular_ratio:.2g} " + f"{within}.",
-        numbers,
-        holds=max(numbers["linear_ratio"], numbers["angular_ratio"]) <= TOLERANCE,
+        "{angular_residual:.2g} N m s, {linear_ratio:.2g} and {angular_ratio:.2g} " + f"{within}."
     )
+    largest = max(numbers["linear_ratio"], numbers["angular_ratio"])
+    return bool(largest <= TOLERANCE), statement, numbers
 
 
-def _energy(run: Evidence) -> Finding:
+def energy(run: Evidence) -> Evaluated:
+    """The energy balance, for any controller."""
+    _require_samples(run)
     parts = energy_residual(run.data)
     run.add(energy_residual=parts["residual"])
-    missed, work = float(np.abs(parts["residual"]).max()), float(parts["absolute_work"][-1])
+    missed, work = np.abs(parts["residual"]).max(), parts["absolute_work"][-1]
     numbers = {
         "tolerance": TOLERANCE,
         "residual": missed,
-        "residual_by_trapezoid": float(np.abs(parts["trapezoid"]).max()),
+        "residual_by_trapezoid": np.abs(parts["trapezoid"]).max(),
         "absolute_work": work,
         "ratio": ratio(missed, work),
     }
     forces = "tau, tau_d and friction" if with_role(run.data, INTERNAL_WORK) else "tau and tau_d"
-    return finding(
-        "energy_balance",
+    statement = (
         f"Kinetic energy follows the work of {forces} "
         "within {residual:.2g} J, {ratio:.2g} of the "
-        "{absolute_work:.3g} J of absolute work of tau.",
-        numbers,
-        holds=numbers["ratio"] <= TOLERANCE,
+        "{absolute_work:.3g} J of absolute work of tau."
     )
+    return bool(numbers["ratio"] <= TOLERANCE), statement, numbers

@@ -8,6 +8,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.numbers import counted, usable
+from ffsm_drake.plugins.analysis.findings import NotApplicable
 from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.spacecraft.free_floating import driven_model
@@ -103,14 +104,11 @@ class Evidence:
                 raise
             return {}  # its module is not available; most findings do not need it
 
-    @property
-    def too_short(self) -> str:
-        """Reason why there is no complete period; empty if there is at least one."""
-        return (
-            ""
-            if len(self.time) >= 2
-            else f"the record has {counted(len(self.time), 'finite sample')}, less than one period"
-        )
+    def require_period(self) -> None:
+        """Raise NotApplicable unless there is a complete period."""
+        if len(self.time) < 2:
+            samples = counted(len(self.time), "finite sample")
+            raise NotApplicable(f"the record has {samples}, less than one period")
 
     @property
     def outlasts_start_up(self) -> bool:
@@ -132,22 +130,31 @@ class Evidence:
             )
 
     @functools.cached_property
+    def inertia(self) -> np.ndarray:
+        """Hhat at the measured configurations (n, nv, nv)."""
+        return mass_matrices(self.nominal, self.values("measured_position"))
+
+    @functools.cached_property
+    def acceleration(self) -> np.ndarray:
+        """Mean true acceleration of each period (n - 1, nv)."""
+        return np.diff(self.values("velocity"), axis=0) / self.period
+
+    @functools.cached_property
     def tde_error(self) -> np.ndarray:
-        """Ntilde (n - 1, nv)."""
-        effort, velocity, position = map(
-            self.values, ("generalized_force", "measured_velocity", "measured_position")
-        )
-        inertia = mass_matrices(self.nominal, position)
-        commanded = commanded_acceleration(
-            effort=effort,
-            measured_velocity=velocity,
-            nominal_mass_matrix=inertia,
-            period=self.period,
-        )
-        error = estimation_error(
-            velocity=self.values("velocity"), commanded=commanded, period=self.period
-        )
-        return np.where(self.coordinates.is_driven, error, 0.0)
+        """TDE error Ntilde = N - Nhat of each period (n - 1, nv).
+
+        From (2), (5) and (6), N - Nhat = q'' - u, which is what equation (7) calls the disturbance
+        of ds/dt. The injected dynamics u_k is that behind the recorded force, equation (6) solved
+        for it: u_k = (v_k - v_{k-1}) / L + Hhat_k^-1 (tau_k - tau_{k-1}), with v as the controller
+        reads it. As in the controller, the first sample has no past: its acceleration and previous
+        force are zero.
+        """
+        self.require_period()
+        effort, velocity = self.values("generalized_force"), self.values("measured_velocity")
+        change = np.diff(effort, axis=0, prepend=np.zeros_like(effort[:1]))
+        measured = np.diff(velocity, axis=0, prepend=velocity[:1]) / self.period
+        commanded = measured + np.linalg.solve(self.inertia, change[..., None])[..., 0]
+        return np.where(self.coordinates.is_driven, self.acceleration - commanded[:-1], 0.0)
 
     @functools.cached_property
     def bound(self) -> np.ndarray:
@@ -205,37 +212,6 @@ def mass_matrices(model: PlantModel, positions: np.ndarray) -> np.ndarray:
     return np.array([model.calc_apparent_mass_matrix(q) for q in positions]).reshape(-1, size, size)
 
 
-def commanded_acceleration(
-    *,
-    effort: np.ndarray,
-    measured_velocity: np.ndarray,
-    nominal_mass_matrix: np.ndarray,
-    period: float,
-) -> np.ndarray:
-    """Injected dynamics u_k (n, nv) behind the recorded force: equation (6) solved for u, per s^2.
-
-    u_k = (v_k - v_{k-1}) / L + Hhat_k^-1 (tau_k - tau_{k-1}). As in the controller, the first
-    sample has no past: its acceleration and previous force are zero. ``effort`` is tau held from
-    t_k (n, nv), ``measured_velocity`` v as the controller reads it (n, nv), ``nominal_mass_matrix``
-    Hhat at the measured configurations (n, nv, nv).
-    """
-    change = np.diff(effort, axis=0, prepend=np.zeros_like(effort[:1]))
-    acceleration = np.diff(measured_velocity, axis=0, prepend=measured_velocity[:1]) / period
-    return acceleration + np.linalg.solve(nominal_mass_matrix, change[..., None])[..., 0]
-
-
-def estimation_error(*, velocity: np.ndarray, commanded: np.ndarray, period: float) -> np.ndarray:
-    """TDE error Ntilde = N - Nhat (n - 1, nv) of each period.
-
-    That is the mean true acceleration minus the commanded one.
-
-    From (2), (5) and (6), N - Nhat = q'' - u, which is what equation (7) calls the disturbance of
-    ds/dt. ``velocity`` is the true v (n, nv), ``commanded`` the u of ``commanded_acceleration`` (n,
-    nv).
-    """
-    return np.diff(velocity, axis=0) / period - commanded[:-1]
-
-
 def finite_part(dataset: "xr.Dataset") -> "xr.Dataset":
     """Return the samples before the first that is not ``usable``, which ends the record of a
     diverged run.
@@ -251,14 +227,12 @@ def largest(values: np.ndarray) -> np.ndarray:
     return np.abs(values).max(axis=0) if len(values) else np.full(values.shape[1], np.nan)
 
 
-def ratio(part: float, whole: float) -> float:
-    """part / whole; if whole is 0, then 0 for a part of 0, else infinite."""
-    return float(ratios(np.array(part), np.array(whole)))
-
-
-def ratios(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    """``ratio`` of each pair."""
-    return np.divide(part, whole, out=np.where(part == 0.0, 0.0, np.inf), where=whole != 0.0)
+def ratio(part: Any, whole: Any) -> Any:
+    """part / whole, of each pair of arrays; if whole is 0, then 0 for a part of 0, else
+    infinite.
+    """
+    otherwise = np.where(np.equal(part, 0.0), 0.0, np.inf)
+    return np.divide(part, whole, out=otherwise, where=np.not_equal(whole, 0.0))
 
 
 def rms(values: np.ndarray) -> float:

@@ -4,8 +4,8 @@
 """
 
 import dataclasses
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -37,10 +37,8 @@ class Finding:
     key: str  # a key of TITLES
     title: str
     statement: str  # one sentence with the main figures
-    verdict: (
-        # "measured" for a figure of merit, "not tested" if the claim covers none of the samples
-        Verdict
-    )
+    # "measured" for a figure of merit, "not tested" if the claim covers none of the samples
+    verdict: Verdict
     # all figures; ``name.part`` belongs to a group or coordinate, NaN means undefined in this run
     numbers: Numbers
 
@@ -76,25 +74,29 @@ class Analysis:
         raise KeyError(f"no finding '{key}'; choose one of {', '.join(TITLES)}")
 
 
-def finding(key: str, statement: str, numbers: Numbers, *, holds: bool | None = None) -> Finding:
-    """Return a finding; ``statement`` is a format string over ``numbers``. Without ``holds``:
-    measured.
-    """
-    verdict: Verdict = "measured" if holds is None else "holds" if holds else "does not hold"
+class NotApplicable(Exception):
+    """Reason why a finding does not apply to a run."""
+
+
+# What a finding's function returns: whether the claim holds, "not tested" or "measured"; a format
+# string over the numbers; the numbers.
+Evaluated = tuple[bool | Verdict, str, Mapping[str, Any]]
+
+
+def evaluated(key: str, evaluate: Callable[[], Evaluated]) -> Finding:
+    """Return the finding of a function, or the reason why it does not apply."""
+    numbers: Numbers = {}
+    try:
+        verdict, statement, found = evaluate()
+    except NotApplicable as reason:
+        verdict, statement = "not applicable", f"Not applicable: {reason}."
+    else:
+        numbers = {
+            name: value if isinstance(value, str) else float(value) for name, value in found.items()
+        }
+        statement = statement.format(**numbers)
+    if isinstance(verdict, bool):
+        verdict = "holds" if verdict else "does not hold"
     return Finding(
-        key=key,
-        title=TITLES[key],
-        statement=statement.format(**numbers),
-        verdict=verdict,
-        numbers=numbers,
+        key=key, title=TITLES[key], statement=statement, verdict=verdict, numbers=numbers
     )
-
-
-def not_applicable(reason: str, *keys: str) -> list[Finding]:
-    """Findings that do not apply to this run, all for one reason."""
-    said: Verdict = "not applicable"
-    statement = f"Not applicable: {reason}."
-    return [
-        Finding(key=key, title=TITLES[key], statement=statement, verdict=said, numbers={})
-        for key in keys
-    ]

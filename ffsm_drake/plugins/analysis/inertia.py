@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from ffsm_drake.plugins.analysis.evidence import Evidence, mass_matrices
-from ffsm_drake.plugins.analysis.findings import Finding, finding, not_applicable
+from ffsm_drake.plugins.analysis.findings import Evaluated, NotApplicable
 from ffsm_drake.spacecraft.inertia import inertia_ratios
 
 POSTURE_INTERVAL = 0.1  # s, between the postures where inertias are compared
@@ -30,28 +30,32 @@ class InertiaMatch:
 
 
 def match_inertia(
-    true: np.ndarray, nominal: np.ndarray, *, is_length: np.ndarray, unit_of_length: float = 1.0
+    true: np.ndarray,
+    nominal: np.ndarray,
+    *,
+    is_length: np.ndarray | None = None,
+    unit_of_length: float = 1.0,
 ) -> InertiaMatch:
     """Compare mass matrices H and Hhat (n, nv, nv).
 
     Args:
       is_length: mask (nv) of the coordinates that are lengths, not angles; equation (8) depends on
-        their unit.
+        their unit, which is the metre without a mask.
       unit_of_length: unit of lengths in the norm of (8), in m.
     """
     size = true.shape[-1]
     eta = [inertia_ratios(*pair) for pair in zip(true, nominal, strict=True)]
     # A length of x metres is x / unit in the new unit.
-    scale = np.where(is_length, 1.0 / unit_of_length, 1.0)
+    scale = np.ones(size) if is_length is None else np.where(is_length, 1.0 / unit_of_length, 1.0)
     difference = np.eye(size) - np.linalg.solve(true, nominal)
     norm = np.linalg.norm(difference * scale[:, None] / scale, ord=2, axis=(1, 2))
     return InertiaMatch(eta=np.array(eta).reshape(-1, size), norm=norm)
 
 
-def findings(run: Evidence) -> list[Finding]:
-    """``condition_8``, at postures POSTURE_INTERVAL apart, and at the last one."""
+def condition_8(run: Evidence) -> Evaluated:
+    """The match at postures POSTURE_INTERVAL apart, and at the last one."""
     if not run.time.size:
-        return not_applicable("the record has no finite sample", "condition_8")
+        raise NotApplicable("the record has no finite sample")
     every = max(1, round(POSTURE_INTERVAL / run.period))
     picked = np.union1d(np.arange(0, run.time.size, every), [run.time.size - 1])
     postures = run.values("position")[picked]
@@ -66,18 +70,18 @@ def findings(run: Evidence) -> list[Finding]:
     run.axes["rank"] = np.arange(1, match.eta.shape[1] + 1)
     run.add(eta=match.eta, condition_8=match.norm, condition_8_in_h=match.norm_in_h)
     numbers = {
-        "norm_min": float(match.norm.min()),
-        "norm_max": float(match.norm.max()),
-        "time_of_norm_max": float(run.time[picked][match.norm.argmax()]),
-        "eta_min": float(match.eta.min()),
-        "eta_max": float(match.eta.max()),
-        "norm_in_h_max": float(match.norm_in_h.max()),
-        "postures": float(picked.size),
-        **{f"norm_max_in.{name}": float(one.norm.max()) for name, one in matches.items()},
+        "norm_min": match.norm.min(),
+        "norm_max": match.norm.max(),
+        "time_of_norm_max": run.time[picked][match.norm.argmax()],
+        "eta_min": match.eta.min(),
+        "eta_max": match.eta.max(),
+        "norm_in_h_max": match.norm_in_h.max(),
+        "postures": picked.size,
+        **{f"norm_max_in.{name}": one.norm.max() for name, one in matches.items()},
     }
     statement = (
         "||E - H^-1 Hhat||_2 is at most {norm_max:.4g} in metres and radians, where 1 is the "
         "limit; the eigenvalues of "
         "H^-1 Hhat lie in [{eta_min:.4g}, {eta_max:.4g}]."
     )
-    return [finding("condition_8", statement, numbers, holds=numbers["norm_max"] < 1.0)]
+    return bool(match.norm.max() < 1.0), statement, numbers

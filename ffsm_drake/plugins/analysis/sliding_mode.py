@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ffsm_drake.plugins.analysis.evidence import Evidence, largest, ratio, ratios, rms
-from ffsm_drake.plugins.analysis.findings import Finding, Numbers, finding, not_applicable
+from ffsm_drake.plugins.analysis.evidence import Evidence, largest, ratio, rms
+from ffsm_drake.plugins.analysis.findings import Evaluated, NotApplicable
 from ffsm_drake.systems.controllers import PAPER_LAWS
 
 
@@ -34,43 +34,45 @@ def direct_bound(
     """
     excess = np.maximum(bound - g_min, 0.0)
     # Without K_s, |s| is bounded only if N*_i <= G_i.
-    return np.maximum(np.abs(first), ratios(excess, k_s_min))
+    return np.maximum(np.abs(first), ratio(excess, k_s_min))
 
 
-def findings(run: Evidence) -> list[Finding]:
-    """``reaching_law``, ``direct_bound``, ``switching_gain_bound``, for a run that records s."""
-    keys = ("reaching_law", "direct_bound", "switching_gain_bound")
+def _sliding(run: Evidence) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return s, K_s and G (n, nv) of a run that records s."""
     if "sliding_variable" not in run.data:
-        return not_applicable(
-            f"the controller {run.scenario.controller} has no sliding variable", *keys
-        )
-    if run.too_short:
-        return not_applicable(run.too_short, *keys)
+        raise NotApplicable(f"the controller {run.scenario.controller} has no sliding variable")
+    run.require_period()
     s, (k_s, g) = run.values("sliding_variable"), run.gains
     run.add(sliding_variable=s, reaching_gain=k_s, switching_gain=g)
+    return s, k_s, g
+
+
+def _remainder(run: Evidence) -> np.ndarray:
+    s, k_s, g = _sliding(run)
     if run.scenario.controller not in PAPER_LAWS:
-        reason = (
+        raise NotApplicable(
             "(7) follows from the injected dynamics of the paper's laws, and "
             f"{run.scenario.controller} is not one"
         )
-        return [*not_applicable(reason, "reaching_law", "direct_bound"), *_switching_gain(run)]
     remainder = reaching_law_remainder(
         s=s, k_s=k_s, g=g, tde_error=run.tde_error, period=run.period
     )
     run.add(reaching_law_remainder=remainder)
-    return [_reaching_law(run, remainder), _direct_bound(run, remainder), *_switching_gain(run)]
+    return remainder
 
 
-def _reaching_law(run: Evidence, remainder: np.ndarray) -> Finding:
+def reaching_law(run: Evidence) -> Evaluated:
+    """The remainder of (7), for the paper's laws."""
+    remainder = _remainder(run)
     late = run.after_start_up[:-1]
     numbers = {
         "start_up_time": run.start_up_time,
-        "remainder": float(largest(remainder).max()),
-        "remainder_late": float(largest(remainder[late]).max()),
+        "remainder": largest(remainder).max(),
+        "remainder_late": largest(remainder[late]).max(),
         "rms_ratio": ratio(rms(remainder), rms(run.tde_error)),
         "rms_ratio_late": ratio(rms(remainder[late]), rms(run.tde_error[late])),
-        "largest_k_d_l": float(np.max(run.constants["k_d"]) * run.period),
-        "largest_k_s_l": float(run.gains[0].max() * run.period),
+        "largest_k_d_l": np.max(run.constants["k_d"]) * run.period,
+        "largest_k_s_l": run.gains[0].max() * run.period,
         **run.grouped("remainder", largest(remainder)),
     }
     statement = (
@@ -79,11 +81,13 @@ def _reaching_law(run: Evidence, remainder: np.ndarray) -> Finding:
         "root mean square {rms_ratio:.3g} times Ntilde; K_s L = {largest_k_s_l:.3g}, K_D L = "
         "{largest_k_d_l:.3g}."
     )
-    return finding("reaching_law", statement, numbers)
+    return "measured", statement, numbers
 
 
-def _direct_bound(run: Evidence, remainder: np.ndarray) -> Finding:
-    s, (k_s, g), late = run.values("sliding_variable"), run.gains, run.after_start_up
+def direct(run: Evidence) -> Evaluated:
+    """The bound on s from (7), for the paper's laws."""
+    remainder, late = _remainder(run), run.after_start_up
+    s, k_s, g = _sliding(run)
 
     def evaluate(disturbance: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the bounds (nv), and largest |s_i| over bound (nv), on the samples of ``part``
@@ -95,24 +99,24 @@ def _direct_bound(run: Evidence, remainder: np.ndarray) -> Finding:
         bound = direct_bound(
             first=s[part][0], bound=largest(disturbance[part[:-1]]), k_s_min=k_s_min, g_min=g_min
         )
-        return bound, ratios(largest(s[part]), bound)
+        return bound, ratio(largest(s[part]), bound)
 
     whole = np.ones_like(late)
     bound, times = evaluate(run.tde_error, whole)
     _, late_times = evaluate(run.tde_error, late)
     _, full_times = evaluate(run.tde_error - remainder, whole)
     run.add(direct_bound=bound)
-    numbers: Numbers = {
+    numbers = {
         "start_up_time": run.start_up_time,
-        "coordinates": float(times.size),
-        "coordinates_within": float(np.count_nonzero(times <= 1.0)),
-        "worst_ratio": float(times.max()),
+        "coordinates": times.size,
+        "coordinates_within": np.count_nonzero(times <= 1.0),
+        "worst_ratio": times.max(),
         "worst_coordinate": run.coordinates.names[int(times.argmax())],
-        "coordinates_within_late": float(np.count_nonzero(late_times <= 1.0))
+        "coordinates_within_late": np.count_nonzero(late_times <= 1.0)
         if run.outlasts_start_up
         else np.nan,
-        "worst_ratio_late": float(late_times.max()),
-        "worst_ratio_with_remainder": float(full_times.max()),
+        "worst_ratio_late": late_times.max(),
+        "worst_ratio_with_remainder": full_times.max(),
         **run.named("bound", bound),
         **run.named("ratio", times),
     }
@@ -121,23 +125,22 @@ def _direct_bound(run: Evidence, remainder: np.ndarray) -> Finding:
         "{coordinates:g} "
         "coordinates; the largest ratio is {worst_ratio:.3g} ({worst_coordinate})."
     )
-    return finding("direct_bound", statement, numbers, holds=bool((times <= 1.0).all()))
+    return bool((times <= 1.0).all()), statement, numbers
 
 
-def _switching_gain(run: Evidence) -> list[Finding]:
-    key, g = "switching_gain_bound", run.gains[1]
+def switching_gain(run: Evidence) -> Evaluated:
+    """The bound on G, for any law that records it."""
+    _, _, g = _sliding(run)
     if "switching_gain" not in run.data:
-        return not_applicable(
-            f"the controller {run.scenario.controller} has no switching gain", key
-        )
-    bound = float(run.bound.max())
+        raise NotApplicable(f"the controller {run.scenario.controller} has no switching gain")
+    bound = run.bound.max()
     numbers = {
-        "largest_g": float(g.max()),
+        "largest_g": g.max(),
         "bound": bound,
-        "bound_late": float(run.late_bound.max()),
-        "ratio": ratio(float(g.max()), bound),
-        "coordinates": float(g.shape[1]),
-        "coordinates_within_own_bound": float(np.count_nonzero((g <= run.bound).all(axis=0))),
+        "bound_late": run.late_bound.max(),
+        "ratio": ratio(g.max(), bound),
+        "coordinates": g.shape[1],
+        "coordinates_within_own_bound": np.count_nonzero((g <= run.bound).all(axis=0)),
         **run.named("largest_g", g.max(axis=0)),
     }
     statement = (
@@ -145,4 +148,4 @@ def _switching_gain(run: Evidence) -> list[Finding]:
         "{coordinates:g} "
         "coordinates stay within their own N*_i."
     )
-    return [finding(key, statement, numbers, holds=bool(g.max() <= bound))]
+    return bool(g.max() <= bound), statement, numbers

@@ -12,13 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from children import finished
-from scipy import signal
 
 from ffsm_drake import make_nominal_plant, make_true_plant
 from ffsm_drake.plugins.analysis import analyze
-from ffsm_drake.plugins.analysis.balances import displacements
 from ffsm_drake.plugins.analysis.chattering import (
-    SEGMENT,
     effort_spectrum,
     reversals,
     split_frequency,
@@ -65,26 +62,6 @@ def analysis(run):
 
 
 # Time-delay estimation
-
-
-def test_tde_error_is_the_disturbance_of_the_reaching_law_on_the_euler_plant(run, analysis):
-    """s_{k+1} = (1 - K_s L) s_k - L Ntilde_k - L G sgn s_k, all eleven coordinates coupled.
-
-    Exact for an Euler step and a reference at rest, up to the rounding of position differences
-    (1e-16 / 1e-5, 1e-9 of s once multiplied by K_D) and, for the base's rotation, up to the
-    rotation vector, whose rate is v_d - v to first order only: 1e-7.
-    """
-    data = run("paper", QUIET, *HOLD, SHORT).dataset
-    s, k_s, g = (data[name].values[:-1] for name in DATA)
-    tde_error = analysis("paper", QUIET, *HOLD, SHORT).series["tde_error"].values
-    assert np.abs(tde_error).max() > 1e-4
-    predicted = (1.0 - k_s * L) * s - L * tde_error - L * g * np.sign(s)
-    following = data["sliding_variable"].values[1:]
-    scale = np.abs(following).max(axis=0)
-    assert scale.min() > 1e-7
-    deviation = np.abs(predicted - following).max(axis=0) / scale
-    assert deviation[:3].max() < 3e-7
-    assert deviation[3:].max() < 3e-9
 
 
 def test_what_the_reaching_law_leaves_out_on_the_euler_plant_is_the_sampled_reference(
@@ -239,18 +216,15 @@ def test_the_verdict_of_condition_8_depends_on_the_unit_of_length(run, analysis)
 @pytest.mark.smoke
 def test_lyapunov_function_by_hand():
     s, k_s, g = np.array([[3.0], [1.0]]), np.array([[6.0], [4.0]]), np.array([[1.0], [2.0]])
-    v = lyapunov(
-        s=s, k_s=k_s, g=g, alpha=np.array([2.0]), phi=np.array([0.5]), bound=5.0, period=0.1
-    )
+    given = {"s": s, "k_s": k_s, "g": g, "bound": 5.0, "period": 0.1}
+    value, terms = lyapunov(**given, alpha=np.array([2.0]), phi=np.array([0.5]))
     # 9/2 + 1/4 + 16, then 1/2 + 1/4 + 9.
-    assert v.value == pytest.approx([20.75, 9.75])
-    assert v.rate == pytest.approx([(9.75 - 20.75) / 0.1])
-    assert v.rate_of_s == pytest.approx([-40.0])
-    assert v.rate_of_k_s == pytest.approx([0.0])
-    assert v.rate_of_g == pytest.approx([-70.0])
+    assert value == pytest.approx([20.75, 9.75])
+    assert terms.sum() == pytest.approx((9.75 - 20.75) / 0.1)
+    assert terms[:, 0] == pytest.approx([-40.0, 0.0, -70.0])
     # A gain that does not adapt has no term.
-    frozen = lyapunov(s=s, k_s=k_s, g=g, alpha=np.zeros(1), phi=np.zeros(1), bound=5.0, period=0.1)
-    assert frozen.value == pytest.approx([4.5, 0.5])
+    frozen, _ = lyapunov(**given, alpha=np.zeros(1), phi=np.zeros(1))
+    assert frozen == pytest.approx([4.5, 0.5])
 
 
 def test_in_the_proofs_own_world_v_falls_outside():
@@ -272,11 +246,12 @@ def test_in_the_proofs_own_world_v_falls_outside():
         k_s.append(k_s[-1] + step * alpha * np.abs(s[-2]) * np.sign(np.abs(s[-2]) - k_s[-1] / beta))
         g.append(g[-1] + step * phi * np.abs(s[-2]) * np.sign(np.abs(s[-2]) - epsilon))
     s, k_s, g = np.array(s), np.array(k_s), np.array(g)
-    v = lyapunov(s=s, k_s=k_s, g=g, alpha=alpha, phi=phi, bound=bound, period=step)
+    _, terms = lyapunov(s=s, k_s=k_s, g=g, alpha=alpha, phi=phi, bound=bound, period=step)
+    rate = terms.sum(axis=0)
     beyond = outside(s, k_s, beta=beta, epsilon=epsilon)[:-1, 0]
     assert 100 < beyond.sum() < 20_000
-    assert (v.rate[beyond] <= 0.0).all()
-    assert (v.rate[~beyond] > 0.0).any()
+    assert (rate[beyond] <= 0.0).all()
+    assert (rate[~beyond] > 0.0).any()
     assert np.abs(s).max() <= ultimate_bound(
         bound=bound, alpha=alpha, beta=beta, phi=phi, epsilon=epsilon
     )
@@ -341,17 +316,6 @@ def test_premises_of_the_proof_are_reported_as_found(run, analysis):
     assert moving.numbers["outside_all"] >= moving.numbers["rising_outside_all"] > 0
     assert derivative.numbers["driver"] == "K_s"
     assert derivative.numbers["value_last"] > derivative.numbers["value_first"]
-    weights = (
-        1e4 * np.array([18] * 3 + [3] * 3 + [9] * 5),
-        np.array([0.1] * 3 + [0.01] * 3 + [0.1] * 5),
-    )
-    value = 0.5 * (
-        (s**2).sum(1)
-        + ((k_s - bound) ** 2 / weights[0]).sum(1)
-        + ((g - bound) ** 2 / weights[1]).sum(1)
-    )
-    assert result.series["lyapunov"].values == pytest.approx(value)
-    assert result.series["lyapunov_rate"].values == pytest.approx(np.diff(value) / L, abs=1e-10)
     assert result.finding("ultimate_bound").numbers["largest_norm"] == pytest.approx(
         np.linalg.norm(s, axis=1).max()
     )
@@ -407,31 +371,8 @@ def test_chattering_of_a_known_signal():
     assert low == pytest.approx([2.0, 2.0, 0.0, 0.0, 0.5], abs=1e-3)
     assert high == pytest.approx([0.0, 0.09, 0.09, 0.0, 4.5], abs=1e-3)
     frequency, density = effort_spectrum(tau, L)
-    assert frequency[density[:, 0].argmax()] == pytest.approx(1.0, abs=0.4)
-    assert frequency[density[:, 2].argmax()] == pytest.approx(50.0, abs=0.5)
     assert (density.sum(axis=0) * frequency[1])[:2] == pytest.approx([2.0, 2.09], rel=0.15)
     assert [split_frequency(period) for period in (0.001, 0.01, 0.05)] == [10.0, 10.0, 2.0]
-
-
-@pytest.mark.parametrize("samples", [16, 17, 255, 256, 257, 385, 2001])
-def test_spectra_are_those_of_scipy(samples):
-    """Of a random walk beside a ramp, within 1e-12 of SciPy's largest value."""
-    random = np.random.default_rng(samples)
-    walk = np.cumsum(random.normal(size=(samples, 3)), axis=0) * (0.01, 1.0, 100.0)
-    tau = walk + np.linspace(0.0, 1.0, samples)[:, None] * walk.std(axis=0)
-    frequency, density = effort_spectrum(tau, L)
-    settings = {"fs": 1.0 / L, "nperseg": min(SEGMENT, samples), "detrend": signal.detrend}
-    expected_frequency, expected = signal.welch(tau, **settings, axis=0)
-    assert frequency == pytest.approx(expected_frequency, rel=1e-12)
-    assert (np.abs(density - expected) <= 1e-12 * expected.max(axis=0)).all()
-    flat = signal.detrend(tau, axis=0)
-    frequency, power = signal.periodogram(
-        flat, fs=1.0 / L, detrend=False, scaling="spectrum", axis=0
-    )
-    parts = split_variance(tau, L, split=10.0)
-    for part, chosen in zip(parts, (frequency < 10.0, frequency >= 10.0), strict=True):
-        assert (np.abs(part - power[chosen].sum(axis=0)) <= 1e-12 * flat.var(axis=0)).all()
-    assert sum(parts) == pytest.approx(flat.var(axis=0), rel=1e-12)  # Parseval
 
 
 @pytest.mark.smoke
@@ -491,20 +432,6 @@ def test_energy_balance_sees_a_force_that_did_not_act(run):
     result = analyze(dataclasses.replace(record, dataset=data))
     assert result.finding("energy_balance").verdict == "does not hold"
     assert result.series["energy_residual"].values == pytest.approx(-0.01 * work, abs=1e-7)
-
-
-@pytest.mark.smoke
-def test_displacement_is_the_integral_of_velocity():
-    """Turning about a fixed axis at 0.3 rad/s while moving: the rotation vector of each period, and
-    differences.
-    """
-    time, axis = np.array([0.0, 0.5, 1.5]), np.array([2.0, -1.0, 2.0]) / 3.0
-    half = 0.15 * time
-    q = np.column_stack(
-        [np.cos(half), np.sin(half)[:, None] * axis, time**2, -time, 0 * time, 4 * time]
-    )
-    expected = [[*(0.15 * axis), 0.25, -0.5, 0.0, 2.0], [*(0.3 * axis), 2.0, -1.0, 0.0, 4.0]]
-    assert displacements(q) == pytest.approx(np.array(expected))
 
 
 # Findings of any run
