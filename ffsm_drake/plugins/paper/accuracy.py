@@ -6,7 +6,7 @@ import statistics
 
 import numpy as np
 
-from ffsm_drake.plugins.analysis.evidence import commanded_acceleration, mass_matrices
+from ffsm_drake.plugins.analysis.evidence import Evidence, rms
 from ffsm_drake.plugins.paper import paper
 from ffsm_drake.plugins.paper.runs import (
     CONTROLLERS,
@@ -35,7 +35,6 @@ from ffsm_drake.plugins.paper.wording import (
     times_span,
 )
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
 
 claim = claims_about("Accuracy")
 
@@ -282,26 +281,9 @@ def _estimation_error(record: RunRecord) -> dict[str, float]:
 
     Equations (2) and (5).
     """
-    data, period = record.dataset, record.scenario.sample_time
-    effort = data["generalized_force"].values[:-1]
-    nominal = mass_matrices(
-        make_nominal_plant(record.scenario), data["measured_position"].values[:-1]
-    )
-    commanded = commanded_acceleration(
-        effort=effort,
-        measured_velocity=data["measured_velocity"].values[:-1],
-        nominal_mass_matrix=nominal,
-        period=period,
-    )
-    acceleration = np.diff(data["velocity"].values, axis=0) / period  # mean over [t_k, t_{k+1})
+    run = Evidence(record)
     # without the first two updates, which lack a previous estimate
-    error = (acceleration - commanded)[2:]
-    truth = (acceleration - np.linalg.solve(nominal, effort[..., None])[..., 0])[2:]
-    group = data["group"].values
-
-    def rms(values: np.ndarray, name: str) -> float:
-        return float(np.sqrt(np.mean(values[:, group == name] ** 2)))
-
-    return {
-        str(name): rms(error, name) / rms(truth, name) for name in dict.fromkeys(group.tolist())
-    }
+    error = run.tde_error[2:]
+    effort = run.values("generalized_force")
+    truth = (run.acceleration - np.linalg.solve(run.inertia, effort[..., None])[:-1, :, 0])[2:]
+    return {name: rms(error[:, part]) / rms(truth[:, part]) for name, part in run.groups.items()}

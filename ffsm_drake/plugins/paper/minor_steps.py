@@ -20,8 +20,7 @@ from ffsm_drake.spacecraft.coordinates import error_rate, position_error
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers import make_law
-from ffsm_drake.systems.controllers.time_delay import time_delay_force
-from ffsm_drake.systems.disturbance import make_disturbance
+from ffsm_drake.systems.disturbance import force_at, sines_of
 from ffsm_drake.systems.reference import make_motion
 
 
@@ -51,7 +50,7 @@ _INTEGRATED = ("integral_error", "reaching_gain", "switching_gain")  # entries o
 MINOR = (EULER, HEUN, BOGACKI_SHAMPINE, RUNGE_KUTTA)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True)
 class MinorStepRun:
     """Outcome of a run."""
 
@@ -89,9 +88,8 @@ def minor_step_table(overrides: tuple[str, ...] = ()) -> tuple[list[str], list[l
         where = "once, its force held over the period" if made.held else "in every minor step"
         where = "in its only step" if made.scheme is EULER else where
         figures = [scientific(made.itae), f"{made.isv:.1f}", f"{made.largest_k_s:.1f}"]
-        rows.append(
-            [made.scheme.title, where, made.fate, *(figures if made.diverged is None else [""] * 3)]
-        )
+        shown = figures if made.diverged is None else [""] * 3
+        rows.append([made.scheme.title, where, made.fate, *shown])
     return header, rows
 
 
@@ -104,38 +102,31 @@ def run(scenario: Scenario, scheme: Scheme, *, held: bool = False) -> MinorStepR
     """
     loop, period = _Loop(scenario), scenario.sample_time
     times = period * np.arange(round(scenario.duration / period))
-    noise = (
-        np.random.default_rng(scenario.random_seed).standard_normal((times.size, loop.nv))
-        * loop.noise
-    )
+    drawn = np.random.default_rng(scenario.random_seed).standard_normal((times.size, loop.nv))
+    noise = drawn * loop.noise
     errors, forces = np.zeros_like(noise), np.zeros_like(noise)
-    y, delayed_force, delayed_velocity, largest = loop.start, np.zeros(loop.nv), -noise[0], 0.0
+    y, largest, before = loop.start, 0.0, noise[0]
     for k, start in enumerate(times):
-        delayed_acceleration = (
-            (loop.parts(y)[1] + noise[k] - delayed_velocity) / period if k else np.zeros(loop.nv)
-        )
-        delayed_velocity = loop.parts(y)[1] + noise[k]
+        measured = loop.parts(y)[1] + noise[k]
+        # of a sample ago; the first has no past, and the last force is still zero then
+        past = forces[k - 1], (measured - before) / period
         slopes: list[np.ndarray] = []
         for stage in scheme.stages:
-            time, at = (
-                start + period * sum(stage),
-                loop.valid(y + period * _combined(stage, slopes)),
-            )
+            time = start + period * sum(stage)
+            at = loop.valid(y + period * _combined(stage, slopes))
             if not (slopes and held):
-                force, error, rates = loop.law(
-                    time, at, noise[k], delayed_force, delayed_acceleration
-                )
+                force, error, rates = loop.law(time, at, noise[k], *past)
             if not slopes:
                 forces[k], errors[k] = force, error
             slopes.append(loop.slope(time, at, force, rates))
-        y = loop.valid(y + period * _combined(scheme.weights, slopes))
-        delayed_force = forces[k]
+        y, before = loop.valid(y + period * _combined(scheme.weights, slopes)), measured
         if not np.abs(loop.parts(y)[1]).max() <= scenario.divergence_speed:
-            figures = {"diverged": start + period, "itae": math.inf, "isv": math.inf}
-            return MinorStepRun(scheme=scheme, held=held, **figures, largest_k_s=largest)
+            ended, figures = start + period, (math.inf, math.inf)
+            break
         largest = max(largest, float(loop.parts(y)[3].max()))
-    figures = {"diverged": None, "itae": itae(times, errors, period), "isv": isv(forces, period)}
-    return MinorStepRun(scheme=scheme, held=held, **figures, largest_k_s=largest)
+    else:
+        ended, figures = None, (itae(times, errors, period), isv(forces, period))
+    return MinorStepRun(scheme, held, ended, *figures, largest)
 
 
 class _Loop:
@@ -147,8 +138,7 @@ class _Loop:
         self.nv, self.period = len(coordinates.names), scenario.sample_time
         self.dynamics = make_law(scenario, self.nominal).dynamics
         self.motion = make_motion(scenario, coordinates)
-        self.disturbance = make_disturbance(scenario.disturbance, coordinates)
-        self.disturbance_context = self.disturbance.CreateDefaultContext()
+        self.sines = sines_of(scenario.disturbance, coordinates)
         self.noise = coordinates.vector(
             scenario.sensing.velocity_noise, key="sensing.velocity_noise", default=0.0
         )
@@ -179,30 +169,20 @@ class _Loop:
         q, v, *memory = self.parts(y)
         q_d, v_d, a_d = self.motion.evaluate(time)
         error = position_error(q_d, q)
-        state = {**self.dynamics.initial_state(), **dict(zip(_INTEGRATED, memory, strict=True))}
+        state = self.dynamics.initial_state() | dict(zip(_INTEGRATED, memory, strict=True))
         u, after = self.dynamics.step(error, error_rate(error, v_d, v + noise), a_d, state)
-        force = time_delay_force(
-            delayed_force=delayed_force,
-            nominal_mass_matrix=self.nominal.calc_mass_matrix(q),
-            delayed_acceleration=delayed_acceleration,
-            u=u,
-        )
-        return (
-            force,
-            error,
-            np.concatenate([after[name] - state[name] for name in _INTEGRATED]) / self.period,
-        )
+        force = delayed_force + self.nominal.calc_mass_matrix(q).dot(u - delayed_acceleration)
+        changes = [after[name] - state[name] for name in _INTEGRATED]
+        return force, error, np.concatenate(changes) / self.period
 
     def slope(self, time: float, y: np.ndarray, force: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """dy/dt under a control force."""
         q, v, *_ = self.parts(y)
-        self.disturbance_context.SetTime(time)
-        disturbance = self.disturbance.get_output_port().Eval(self.disturbance_context)
-        bias = self.truth.calc_bias(q, v)  # sets the positions for the map below
-        acceleration = np.linalg.solve(self.truth.calc_mass_matrix(q), force + disturbance - bias)
-        return np.concatenate(
-            [self.truth.plant.MapVelocityToQDot(self.truth.context, v), acceleration, rates]
-        )
+        total = force + force_at(time, self.sines)
+        acceleration = self.truth.calc_acceleration(q, v, total)
+        # at the positions just set
+        q_dot = self.truth.plant.MapVelocityToQDot(self.truth.context, v)
+        return np.concatenate([q_dot, acceleration, rates])
 
 
 def _combined(weights: tuple[float, ...], slopes: list[np.ndarray]) -> np.ndarray | float:

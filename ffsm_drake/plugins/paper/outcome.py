@@ -3,8 +3,6 @@
 The figures belong to the setting ``euler``, the known part of the paper's simulation.
 """
 
-from collections.abc import Callable
-
 from ffsm_drake.common.numbers import rounded_up
 from ffsm_drake.plugins.paper import paper
 from ffsm_drake.plugins.paper.runs import CONTROLLERS, DISTURBANCES, STUDY
@@ -96,26 +94,35 @@ def _ranking(metric: str, rows: list[Row]) -> tuple[bool, str]:
     return False, f"{label}: the ranking; {'; '.join(parts)}."
 
 
+def beyond_tdc(rows: list[Row], figure: str) -> dict[str, list[float]]:
+    """ISV minus that of TDC, by controller, under each disturbance; ``figure``: mean or paper."""
+    isv = {(row.disturbance, row.controller): getattr(row.isv, figure) for row in rows}
+    return {
+        name: [isv[place, name] - isv[place, "tdc"] for place in DISTURBANCES]
+        for name in CONTROLLERS
+        if name != "tdc"
+    }
+
+
+def differences_text(by_controller: dict[str, list[float]]) -> str:
+    """``beyond_tdc`` in words."""
+    return named(by_controller, _signed)
+
+
+def _signed(values: list[float]) -> str:
+    return between(values, "{:+.1f}".format)
+
+
 def _differences(rows: list[Row]) -> tuple[bool, str]:
     """Whether the efforts beyond TDC's are the paper's, by controller."""
-
-    def beyond_tdc(value: Callable[[Cell], float]) -> dict[str, list[float]]:
-        isv = {(row.disturbance, row.controller): value(row.isv) for row in rows}
-        return {
-            name: [isv[place, name] - isv[place, "tdc"] for place in DISTURBANCES]
-            for name in CONTROLLERS
-            if name != "tdc"
-        }
-
-    ours, printed = beyond_tdc(lambda cell: cell.mean), beyond_tdc(lambda cell: cell.paper)
+    ours, printed = (beyond_tdc(rows, figure) for figure in ("mean", "paper"))
     holds = all(
         abs(value - wanted) <= paper.REPRODUCED * abs(wanted)
         for name, values in ours.items()
         for value, wanted in zip(values, printed[name], strict=True)
     )
-
-    def both(name: str) -> str:
-        own, wanted = (between(each[name], "{:+.1f}".format) for each in (ours, printed))
-        return f"{own} (paper: {wanted})"
-
-    return holds, f"ISV minus the ISV of TDC: {named({name: name for name in ours}, both)}."
+    texts = {
+        name: f"{_signed(values)} (paper: {_signed(printed[name])})"
+        for name, values in ours.items()
+    }
+    return holds, f"ISV minus the ISV of TDC: {named(texts, str)}."

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd  # type: ignore[import-untyped]
 
 from ffsm_drake.common.workers import map_tasks
 from ffsm_drake.runs.ending import Outcome
@@ -139,34 +140,29 @@ class Results:
         """All (disturbance, seed) of the table."""
         return list(product(DISTURBANCES, range(self.num_seeds)))
 
+    def values(self, metric: str, setting: str, side: Side) -> pd.Series:
+        """A metric of a controller's runs, by disturbance and seed."""
+        name, variant = (side, "") if isinstance(side, str) else side
+        runs = self.runs_of(setting, name, variant=variant)
+        return pd.Series({case: getattr(run, metric) for case, run in runs.items()})
+
+    def by_controller(self, metric: str, setting: str) -> pd.DataFrame:
+        """A metric of Table 2: a column for each controller, by disturbance and seed."""
+        return pd.DataFrame({name: self.values(metric, setting, name) for name in CONTROLLERS})
+
     def rankings(self, metric: str, setting: str) -> list[list[str]]:
         """The controllers of every comparison, from the smallest value to the largest."""
-        values = {name: self.runs_of(setting, name) for name in CONTROLLERS}
-
-        def ranking(case: tuple[str, int]) -> list[str]:
-            return sorted(CONTROLLERS, key=lambda name: getattr(values[name][case], metric))
-
-        return [ranking(case) for case in self.comparisons]
+        order = np.argsort(self.by_controller(metric, setting).to_numpy(), axis=1, kind="stable")
+        return np.array(CONTROLLERS)[order].tolist()
 
     def ratios(self, metric: str, setting: str, over: Side, under: Side) -> list[float]:
         """A metric of one controller over another's, for every (disturbance, seed) run of both.
 
         Infinite where the first diverged, NaN where the second did.
         """
-        first, second = (
-            {
-                key: getattr(run, metric)
-                for key, run in self.runs_of(setting, name, variant=variant).items()
-            }
-            for name, variant in (
-                (side, "") if isinstance(side, str) else side for side in (over, under)
-            )
-        )
-        return [
-            value / second[key] if math.isfinite(second[key]) else math.nan
-            for key, value in first.items()
-            if key in second
-        ]
+        first, second = (self.values(metric, setting, side) for side in (over, under))
+        first, second = first.align(second.replace(np.inf, np.nan), join="inner")
+        return (first / second).tolist()
 
     def divergence_times(self, setting: str, controller: str, **which: str) -> list[float]:
         """Times of divergence of a controller's runs, s; ``which``: see ``runs_of``."""

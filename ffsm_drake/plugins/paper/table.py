@@ -3,14 +3,14 @@
 
 import dataclasses
 import math
-import statistics
 from itertools import product
 
+import numpy as np
 import pandas as pd  # type: ignore[import-untyped]
 
 from ffsm_drake.common.numbers import power_of_ten
 from ffsm_drake.plugins.paper import paper
-from ffsm_drake.plugins.paper.runs import CONTROLLERS, DISTURBANCES, SETTINGS, Results, Run
+from ffsm_drake.plugins.paper.runs import CONTROLLERS, DISTURBANCES, SETTINGS, Results
 from ffsm_drake.plugins.paper.wording import DISTURBANCE_NAMES, NAMES, scientific, span, times
 
 METRICS = {"itae": "ITAE", "isv": "ISV"}
@@ -50,60 +50,47 @@ def make_table(results: Results) -> list[Row]:
     """All rows: by setting, disturbance, controller."""
     rows = []
     for setting, disturbance in product(SETTINGS, DISTURBANCES):
-        runs = {
-            name: list(results.runs_of(setting, name, disturbance=disturbance).values())
-            for name in CONTROLLERS
-        }
-        itae, isv = (_cells(metric, disturbance, runs) for metric in METRICS)
+        itae, isv = (_cells(results, metric, setting, disturbance) for metric in METRICS)
         for name in CONTROLLERS:
-            ended = [run for run in runs[name] if not run.outcome.completed]
+            runs = results.runs_of(setting, name, disturbance=disturbance).values()
+            ended = [run for run in runs if not run.outcome.completed]
             text = ""
             if ended:
                 times_ended = span((run.outcome.time for run in ended), 2)
                 text = f"{ended[0].outcome.status} at {times_ended} s"
-                if len(ended) < len(runs[name]):
-                    text += f" ({len(ended)} of {len(runs[name])} runs)"
-            counts = len(runs[name]), len(ended)
+                if len(ended) < len(runs):
+                    text += f" ({len(ended)} of {len(runs)} runs)"
+            counts = len(runs), len(ended)
             rows.append(Row(setting, disturbance, name, *counts, text, itae[name], isv[name]))
     return rows
 
 
-def _cells(metric: str, disturbance: str, runs: dict[str, list[Run]]) -> dict[str, Cell]:
-    values = {name: [getattr(run, metric) for run in runs[name]] for name in CONTROLLERS}
-    means = {name: statistics.fmean(found) for name, found in values.items()}
-    printed = paper.TABLE_2[metric][disturbance]
-    cells = {}
-    for name, mean in means.items():
-        finite = math.isfinite(mean)
-        shown = mean if finite else math.nan
-        cells[name] = Cell(
-            mean=shown,
-            spread=statistics.stdev(values[name]) if finite and len(values[name]) > 1 else math.nan,
-            paper=printed[name],
-            ratio=shown / printed[name],
-            rank=1 + sum(other < mean for other in means.values()),
-            paper_rank=1 + sum(other < printed[name] for other in printed.values()),
+def _cells(results: Results, metric: str, setting: str, disturbance: str) -> dict[str, Cell]:
+    values = results.by_controller(metric, setting).loc[disturbance]
+    with np.errstate(invalid="ignore"):
+        figures = pd.DataFrame({"mean": values.mean(), "spread": values.std()})
+    figures["paper"] = pd.Series(paper.TABLE_2[metric][disturbance])
+    ranks = figures[["mean", "paper"]].rank(method="min").astype(int)
+    figures["mean"] = figures["mean"].replace(np.inf, np.nan)
+    figures["ratio"] = figures["mean"] / figures["paper"]
+    return {
+        name: Cell(
+            **figures.loc[name],
+            rank=ranks["mean"][name],
+            paper_rank=ranks["paper"][name],
             correction=paper.CORRECTIONS.get((metric, disturbance, name), ""),
         )
-    return cells
+        for name in CONTROLLERS
+    }
 
 
 def table_csv(rows: list[Row]) -> str:
     """The table as comma-separated values, eight digits; empty if runs diverged."""
-    lines = []
-    for row in rows:
-        line = dict(vars(row))
-        cells = {metric: dict(vars(line.pop(metric))) for metric in METRICS}
-        corrections = {
-            f"{metric}_paper_correction": cell.pop("correction") for metric, cell in cells.items()
-        }
-        figures = {
-            f"{metric}_{field}": value
-            for metric, cell in cells.items()
-            for field, value in cell.items()
-        }
-        lines.append(line | figures | corrections)
-    text: str = pd.DataFrame(lines).to_csv(index=False, float_format="%.8g", lineterminator="\n")
+    frame = pd.json_normalize([dataclasses.asdict(row) for row in rows], sep="_")
+    corrections = [f"{metric}_correction" for metric in METRICS]
+    frame = frame[[*frame.columns.drop(corrections), *corrections]]
+    frame = frame.rename(columns={name: name.replace("_", "_paper_") for name in corrections})
+    text: str = frame.to_csv(index=False, float_format="%.8g", lineterminator="\n")
     return text
 
 
