@@ -11,13 +11,11 @@ the arm's lengths; so the momentum along every direction bounds the time from be
 
 import dataclasses
 import itertools
-from collections.abc import Callable
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, Frame
+from pydrake.multibody.tree import RigidBody
 
 from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
 from ffsm_drake.plugins.actuators.wheels import WheelSet
@@ -40,13 +38,21 @@ class LeastTimes:
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class _Units:
-    """Actuators of the base: largest wrenches (6, n; torque about the base's origin, force), and
-    the least share of each: 0 or -1.
+    """Actuators fixed in the base: largest wrenches (6, n; torque about the base's origin, force),
+    and the least share of each: 0 or -1.
     """
 
     wrenches: np.ndarray
-    least: np.ndarray
-    turn_with_base: bool  # True: axes fixed in the base; False: in the world
+    least: float
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class _Actuators:
+    """Everything that acts on the base."""
+
+    sets: list[_Units]
+    limit: np.ndarray  # (6) of the torque and force in world axes; infinite without a limit
+    stored: float  # angular momentum that wheels hold at the start, N m s
 
 
 def least_times(
@@ -58,138 +64,97 @@ def least_times(
 
     Raises ScenarioError: errors of the actuators.
     """
-    sets, stored = _units(scenario, model)
-    rows = np.repeat([g in scenario.driven for g in ("base_rotation", "base_position")], 3)
-    momentum = np.where(rows, np.concatenate([spin, linear]), 0.0)
+    driven = np.repeat([g in scenario.driven for g in ("base_rotation", "base_position")], 3)
+    actuators = _actuators(scenario, model, driven)
+    momentum = np.where(driven, np.concatenate([spin, linear]), 0.0)
     if not momentum.any():
         return LeastTimes(bound=0.0, held=0.0)
     stack = free_floating(model, q)
-    lever = _largest_lever(model)
     return LeastTimes(
-        bound=_bound(sets, momentum, lever=lever, stored=stored),
-        held=_held(sets, momentum, rows, q, -stack.center_of_mass),
+        bound=_bound(actuators, momentum, lever=_largest_lever(model)),
+        held=_held(actuators, momentum, driven, q, -stack.center_of_mass),
     )
 
 
-def _units(scenario: Scenario, model: PlantModel) -> tuple[list[_Units], float]:
-    """The base's actuators, and the angular momentum that wheels hold at the start, N m s."""
+def _actuators(scenario: Scenario, model: PlantModel, driven: np.ndarray) -> _Actuators:
     actuation, step, stored, sets = scenario.actuation, scenario.sample_time, 0.0, list[_Units]()
-    limit = model.coordinates.vector(actuation.limit or {}, key="actuation.limit", default=np.inf)[
-        :6
-    ]
+    limits = actuation.limit or {}
+    limit = model.coordinates.vector(limits, key="actuation.limit", default=np.inf)[:6]
+    limit = np.where(driven, limit, 0.0)
     if actuation.wheels is not None:
         wheels = WheelSet(actuation.wheels, sample_time=step, alone=actuation.thrusters is None)
         torques = np.vstack([wheels.reach, np.zeros_like(wheels.reach)])
-        least = -np.ones(torques.shape[1])
-        sets.append(_Units(wrenches=torques, least=least, turn_with_base=True))
+        sets.append(_Units(wrenches=torques, least=-1.0))
         stored = float(np.linalg.norm(wheels.initial))
         limit[:3] = 0.0
     if actuation.thrusters is not None:
         thrusters = ThrusterSet(actuation.thrusters, sample_time=step)
-        wrenches = thrusters.wrenches * thrusters.force
-        least = np.zeros(wrenches.shape[1])
-        sets.append(_Units(wrenches=wrenches, least=least, turn_with_base=True))
+        sets.append(_Units(wrenches=thrusters.wrenches * thrusters.force, least=0.0))
         limit[:] = 0.0
-    for group, part in (("base_rotation", slice(0, 3)), ("base_position", slice(3, 6))):
-        if group not in scenario.driven:
-            limit[part] = 0.0
-    if limit.any():
-        sets.append(_Units(wrenches=np.diag(limit), least=-np.ones(6), turn_with_base=False))
-    return sets, stored
+    return _Actuators(sets=sets, limit=limit, stored=stored)
 
 
 def _held(
-    sets: list[_Units], momentum: np.ndarray, rows: np.ndarray, q: np.ndarray, lever: np.ndarray
+    actuators: _Actuators,
+    momentum: np.ndarray,
+    rows: np.ndarray,
+    q: np.ndarray,
+    lever: np.ndarray,
 ) -> float:
-    """The linear program, with the base's origin at a ``lever`` (3, m) from the centre of mass."""
+    """The linear program for the largest wrench against the momentum, with the base's origin at a
+    ``lever`` (3, m) from the centre of mass.
+    """
     from scipy.optimize import linprog
 
-    R_WB, columns = RotationMatrix(Quaternion(q[:4])).matrix(), list[np.ndarray]()
-    for each in sets:
-        torque, force = np.split(each.wrenches, 2)
-        if each.turn_with_base:
-            torque, force = R_WB @ torque, R_WB @ force
-        unlimited = ~np.isfinite(np.abs(each.wrenches).sum(axis=0))
-        force = np.where(unlimited, np.sign(force), force)
-        torque = np.where(unlimited, np.sign(torque), torque)
-        columns.append(np.vstack([torque + np.cross(lever, force.T).T, force]))
-    wrenches = np.hstack(columns)[rows]
-    least = np.concatenate([each.least for each in sets])
-    free = np.concatenate([~np.isfinite(np.abs(each.wrenches).sum(axis=0)) for each in sets])
-    count, limited = least.size, np.flatnonzero(~free)
-    unit = np.eye(count)[limited]
-    # the impulse x of each stays within [least T, T]; T is the last unknown
+    turned = np.kron(np.eye(2), RotationMatrix(Quaternion(q[:4])).matrix())
+    wrenches = [turned @ each.wrenches for each in actuators.sets]
+    bounds = [(each.least, 1.0) for each in actuators.sets for _ in each.wrenches.T]
+    # of the limits in world axes, the outputs themselves
+    torque, force = np.split(np.hstack([*wrenches, np.eye(6)]), 2)
+    bounds += [(-each, each) for each in actuators.limit.tolist()]
+    wrench = np.vstack([torque + np.cross(lever, force.T).T, force])
+    size = float(np.linalg.norm(momentum))
     found = linprog(
-        np.r_[np.zeros(count), 1.0],
-        A_ub=np.vstack([
-            np.column_stack([unit, -np.ones(limited.size)]),
-            np.column_stack([-unit, least[limited]]),
-        ]),
-        b_ub=np.zeros(2 * limited.size),
-        A_eq=np.column_stack([wrenches, np.zeros(len(wrenches))]),
-        b_eq=-momentum[rows],
-        bounds=[*((None, None) for _ in range(count)), (0.0, None)],
-    )  # fmt: skip
-    return float(found.x[-1]) if found.x is not None else float("inf")
+        np.r_[np.zeros(len(bounds)), -1.0],
+        A_eq=np.column_stack([wrench, momentum / size])[rows],
+        b_eq=np.zeros(rows.sum()),
+        bounds=[*bounds, (0.0, None)],
+    )
+    if found.x is None:  # outputs without limits give any wrench
+        return 0.0
+    return size / float(found.x[-1]) if found.x[-1] > 0.0 else float("inf")
 
 
-def _bound(sets: list[_Units], momentum: np.ndarray, *, lever: float, stored: float) -> float:
+def _bound(actuators: _Actuators, momentum: np.ndarray, *, lever: float) -> float:
     """The largest share of momentum along a direction over what is given along it at most."""
     spin, linear = np.split(momentum, 2)
-    return max(
-        _time(sets, linear, _most_force),
-        _time(
-            sets,
-            spin * max(0.0, 1.0 - 2.0 * stored / max(float(np.linalg.norm(spin)), 1e-300)),
-            lambda each, along: _most_torque(each, along, lever),
-        ),
-    )
+    torque, force = np.split(actuators.limit, 2)
+    held = 2.0 * actuators.stored / max(float(np.linalg.norm(spin)), 1e-300)
+    pushed, turned = 0.0, lever * float(np.linalg.norm(force)) if force.any() else 0.0
+    for each in actuators.sets:
+        own, pushing = np.split(each.wrenches, 2)
+        pushed += _corner(each, np.zeros_like(pushing), pushing)
+        turned += _corner(each, own, lever * pushing)
+    return max(_time(linear, force, pushed), _time(spin * max(0.0, 1.0 - held), torque, turned))
 
 
-def _time(
-    sets: list[_Units], momentum: np.ndarray, most: Callable[[_Units, np.ndarray], np.ndarray]
-) -> float:
+def _time(momentum: np.ndarray, limit: np.ndarray, turning: float) -> float:
+    """Least time of a momentum (3) with limits along the world's axes, and the most that units
+    which turn with the base give along any direction.
+    """
     size = float(np.linalg.norm(momentum))
     if size == 0.0:
         return 0.0
     drawn = np.random.default_rng(0).standard_normal((_DIRECTIONS, 3))
     along = np.vstack([momentum / size, np.eye(3), -np.eye(3), drawn])
     along /= np.linalg.norm(along, axis=1)[:, None]
-    given = sum((most(each, along) for each in sets), np.zeros(len(along)))
     with np.errstate(divide="ignore", invalid="ignore"):
+        given = np.where(along == 0.0, 0.0, np.abs(along) * limit).sum(axis=1) + turning
         return float(np.nan_to_num(along @ momentum / given, nan=0.0, posinf=np.inf).max())
-
-
-def _most_force(units: _Units, along: np.ndarray) -> np.ndarray:
-    """The largest force along directions (n, 3) in any attitude, N."""
-    force = units.wrenches[3:]
-    if not units.turn_with_base:
-        return _box(along, np.abs(force).sum(axis=1))
-    return np.full(len(along), _corner(units, np.zeros(3), force))
-
-
-def _most_torque(units: _Units, along: np.ndarray, lever: float) -> np.ndarray:
-    """The largest torque about the centre of mass along directions (n, 3), N m, in any attitude,
-    the base's origin at most a ``lever`` (m) away.
-    """
-    torque, force = np.split(units.wrenches, 2)
-    if not units.turn_with_base:
-        largest = float(np.linalg.norm(np.abs(force).sum(axis=1)))
-        turned = 0.0 if largest == 0.0 else lever * largest
-        return _box(along, np.abs(torque).sum(axis=1)) + turned
-    return np.full(len(along), _corner(units, torque, lever * force))
-
-
-def _box(along: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    with np.errstate(invalid="ignore"):
-        parts = np.abs(along) * limit
-    total: np.ndarray = np.where(np.abs(along) > 0.0, parts, 0.0).sum(axis=1)
-    return total
 
 
 def _corner(units: _Units, first: np.ndarray, second: np.ndarray) -> float:
     """The largest |first| + |second| (3, n) that combinations of units give."""
-    first = np.broadcast_to(first if first.ndim == 2 else first[:, None], second.shape)
     sizes = np.linalg.norm(first, axis=0) + np.linalg.norm(second, axis=0)
     if sizes.size > _CORNERS:
         return float(sizes.sum())
@@ -201,29 +166,26 @@ def _corner(units: _Units, first: np.ndarray, second: np.ndarray) -> float:
 
 def _largest_lever(model: PlantModel) -> float:
     """No posture has the centre of mass further from the base's origin, m."""
-    plant, total, weighted = model.plant, 0.0, 0.0
-    far = _reaches(plant)
-    for body, reach in far.items():
-        own = plant.get_body(body)
-        mass = own.get_mass(model.context)
-        center = own.CalcCenterOfMassInBodyFrame(model.context)
-        total, weighted = total + mass, weighted + mass * (reach + float(np.linalg.norm(center)))
-    return weighted / total
+    plant, base = model.plant, base_body(model.plant)
+    inboard = {
+        joint.child_body().index(): joint for joint in map(plant.get_joint, plant.GetJointIndices())
+    }
 
+    def reach(body: RigidBody) -> float:
+        """The largest distance of a body's origin from the base's: the way by its joints."""
+        if body.index() == base.index():
+            return 0.0
+        joint = inboard[body.index()]
+        way = reach(joint.parent_body())
+        for frame in (joint.frame_on_parent(), joint.frame_on_child()):
+            way += float(np.linalg.norm(frame.GetFixedPoseInBodyFrame().translation()))
+        if joint.type_name() == "prismatic":
+            limits = [*joint.position_lower_limits(), *joint.position_upper_limits()]
+            way += float(np.abs(limits).max())
+        return way
 
-def _reaches(plant: MultibodyPlant) -> dict[BodyIndex, float]:
-    """The largest distance of each body's origin from the base's, m: the way by its joints."""
-
-    def size(frame: Frame) -> float:
-        return float(np.linalg.norm(frame.GetFixedPoseInBodyFrame().translation()))
-
-    found, joints = {base_body(plant).index(): 0.0}, plant.GetJointIndices()
-    for joint in map(plant.get_joint, [*joints] * len(joints)):  # in any order
-        parent, child = joint.parent_body().index(), joint.child_body().index()
-        if parent not in found or child in found:
-            continue
-        slides = joint.type_name() == "prismatic"
-        limits = [*joint.position_lower_limits(), *joint.position_upper_limits()]
-        way = size(joint.frame_on_parent()) + size(joint.frame_on_child())
-        found[child] = found[parent] + way + (float(np.abs(limits).max()) if slides else 0.0)
-    return found
+    total = weighted = 0.0
+    for body in map(plant.get_body, inboard):
+        mass, center = body.get_mass(model.context), body.CalcCenterOfMassInBodyFrame(model.context)
+        total, weighted = total + mass, weighted + mass * (reach(body) + np.linalg.norm(center))
+    return float(weighted / total)

@@ -470,7 +470,7 @@ def least_propellant(scenario: Scenario) -> float | None:
 def check_mission(board: Board) -> Iterator[Reproduced]:
     """The published figures of a mission beside those found."""
     mission = board.mission
-    standings = {each.controller: each for each in board.standings}
+    figures = {each.controller: each.figures for each in board.standings}
     for published in mission.checks:
         found: float | None
         if published.figure == _AT_START:
@@ -478,6 +478,5 @@ def check_mission(board: Board) -> Iterator[Reproduced]:
         elif published.figure == _PLANNED:
             found = _planned_time(mission.scenario)
         else:
-            standing = standings.get(published.controller)
-            found = None if standing is None else standing.figures[published.figure]
+            found = figures.get(published.controller, {}).get(published.figure)
         yield Reproduced(mission=mission.name, published=published, found=found)

@@ -2,16 +2,14 @@
 published figures.
 """
 
-import contextlib
 import csv
 import dataclasses
 import json
 import re
-import sqlite3
 
 import numpy as np
 import pytest
-from campaign_tools import HERE
+from campaign_tools import HERE, sql
 from click.testing import CliRunner
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
@@ -102,8 +100,7 @@ def test_laws_are_ranked_with_three_seeds(mission, folder, monkeypatch):
 def test_an_interrupted_benchmark_goes_on(mission, folder, tmp_path):
     """Only what is missing is run."""
     (path,) = copied(folder, tmp_path).glob("*.db")
-    with contextlib.closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute("DELETE FROM results WHERE case_index = 1 AND controller = 'tdc'")
+    sql(path, "DELETE FROM results WHERE case_index = 1 AND controller = 'tdc'")
     runs = []
     laws = ["tdc", "asmc"]
     board = run_mission(mission, laws, tmp_path, workers=HERE, progress=runs.append)
@@ -140,8 +137,7 @@ def test_a_law_that_was_cut_keeps_its_row(seed, mission, folder, tmp_path):
                 missions.CUT: "UPDATE results SET outcome = 'error', message = 'TimeLimit: took "
                 f"longer than 600 s of wall time (time_limit)' WHERE {row}",
             }[kind]
-            with contextlib.closing(sqlite3.connect(path)) as connection, connection:
-                connection.execute(change)
+            sql(path, change)
     cut = missions._figures_of(mission, "tdc", tmp_path)
     cut.unlink() if seed % 2 else cut.write_text(json.dumps(dict.fromkeys(FIGURES, np.nan)))
     board = board_so_far(mission, ["tdc", "asmc", "pd_plus"], tmp_path)
@@ -341,18 +337,8 @@ def test_the_page_opens_offline_and_holds_every_number(mission, folder):
 def test_the_command(tmp_path, monkeypatch):
     scenario = tmp_path / "short.yaml"
     scenario.write_text("extends: postcapture\nduration: 0.2\n")
-    words = [
-        "benchmark",
-        str(scenario),
-        "-c",
-        "tdc",
-        "--workers",
-        "1",
-        "--out",
-        str(tmp_path / "o"),
-        "--table",
-        str(tmp_path / "laws.csv"),
-    ]
+    words = f"benchmark {scenario} -c tdc --workers 1 --out o --table laws.csv".split()
+    monkeypatch.chdir(tmp_path)
     for _ in range(2):
         result = CliRunner().invoke(main, words)
         assert result.exit_code == 0, result.output
