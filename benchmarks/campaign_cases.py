@@ -24,7 +24,14 @@ import yaml
 
 from ffsm_drake import load_scenario
 from ffsm_drake.plugins.campaign.cases import Case, make_cases
-from ffsm_drake.plugins.campaign.evaluate import FIRST_LIMIT, Batch, Evaluator, Row, metrics_of
+from ffsm_drake.plugins.campaign.evaluate import (
+    FIRST_LIMIT,
+    Batch,
+    Evaluator,
+    Row,
+    alone,
+    metrics_of,
+)
 from ffsm_drake.plugins.campaign.spec import Spec, load_spec, shipped_campaigns, spec_from_data
 from ffsm_drake.plugins.campaign.store import create_store
 from ffsm_drake.runs.engine import DRAKE
@@ -82,7 +89,7 @@ def processor_time(
             store.add(batch, rows)
             failed = [row["message"] for row in rows if row["outcome"] == "error"]
             if failed:
-                raise SystemExit(f"{batch.runs[0][1]}: {failed[0]}")
+                raise SystemExit(f"{batch[0][1]}: {failed[0]}")
         seconds = time.process_time() - start
     database.unlink()
     return seconds
@@ -92,10 +99,10 @@ def minima(
     spec: Spec, controller: str, cases: Sequence[Case], repeats: int, folder: Path, engine: str
 ) -> np.ndarray:
     """Of one law, s per case: alone and in a batch."""
-    whole = Batch(tuple((case, controller) for case in cases))
+    whole = tuple((case, controller) for case in cases)
     drake, other = (spec_from_data({**spec.data, "engine": each}) for each in (DRAKE, engine))
     ways = {
-        "alone": (drake, Evaluator(drake), whole.parts),
+        "alone": (drake, Evaluator(drake), alone(whole)),
         "batched": (other, Evaluator(other), (whole,)),
     }
     seconds = {way: list[float]() for way in ways}
@@ -108,7 +115,7 @@ def minima(
 
 def compare(spec: Spec, controller: str, cases: Sequence[Case], engine: str) -> str:
     """How far the rows of cases are from those with Drake, in words."""
-    whole, rows = Batch(tuple((case, controller) for case in cases)), list[list[Row]]()
+    whole, rows = tuple((case, controller) for case in cases), list[list[Row]]()
     for each in (DRAKE, engine):
         evaluator = Evaluator(spec_from_data({**spec.data, "engine": each}))
         rows.append(evaluator.evaluate_batch(whole))

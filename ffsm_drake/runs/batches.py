@@ -30,6 +30,7 @@ def run_many(
     batch: int | None = None,
     engine: str = DRAKE,
     signals: Collection[str] | None = None,
+    kept: "Kept | None" = None,
 ) -> Iterator[tuple[int, RunLog | Exception]]:
     """Run scenarios, in no fixed order.
 
@@ -39,6 +40,7 @@ def run_many(
       engine: what computes the runs (``find_engine``). A run that it does not cover, or that fails
         or diverges, is computed by Drake, and its log has the reason.
       signals: see ``Engine.run_all``.
+      kept: rollouts of the caller, to be reused; default: own ones, freed at the end.
 
     Yields: the index of a scenario and its log, or the exception of its run.
 
@@ -58,46 +60,49 @@ def run_many(
                     yield index, log
                 else:
                     left[index] = on_drake(log)
-    kept = Kept()
+    rollouts = kept or Kept()
     try:
         for index, name in left.items():
-            result = _on_drake(kept, scenarios[index])
+            result = _on_drake(rollouts, scenarios[index])
             if isinstance(result, RunLog):
                 result = dataclasses.replace(result, engine=name)
             yield index, result
     finally:
-        kept.drop()
+        if kept is None:
+            rollouts.drop()
 
 
 def _on_drake(kept: "Kept", scenario: Scenario) -> RunLog | Exception:
     try:
         log: RunLog = kept.rollout(scenario).run(scenario)
     except _FAILURES as error:
-        kept.drop()
+        kept.drop(scenario.controller)
         return error if isinstance(error, Exception) else FfsmError(one_line(error))
     return log
 
 
 class Kept:
-    """The last rollout, reused for matching runs. Blocks built by users from settings that may
-    differ between runs are built anew.
+    """The last rollout of each controller, reused for matching runs. Blocks built by users from
+    settings that may differ between runs are built anew.
     """
 
     def __init__(self) -> None:
-        self._rollout: Any = None
+        self._rollouts: dict[str, Any] = {}
 
     def rollout(self, scenario: Scenario) -> Any:
         """Return the rollout of a scenario."""
-        if self._rollout is None or user_supplied(scenario) or not self._rollout.accepts(scenario):
-            self.drop()
-            self._rollout = make_rollout(scenario)
-        return self._rollout
+        name = scenario.controller
+        found = self._rollouts.get(name)
+        if found is None or user_supplied(scenario) or not found.accepts(scenario):
+            self.drop(name)
+            self._rollouts[name] = make_rollout(scenario)
+        return self._rollouts[name]
 
-    def drop(self) -> None:
-        """Free the rollout."""
-        if self._rollout is not None:
-            self._rollout.release()
-        self._rollout = None
+    def drop(self, *controllers: str) -> None:
+        """Free the rollouts of some controllers; without a name, of all."""
+        for name in controllers or tuple(self._rollouts):
+            if (rollout := self._rollouts.pop(name, None)) is not None:
+                rollout.release()
 
 
 def all_but_controller(scenario: Scenario) -> tuple[int, ...]:

@@ -180,8 +180,9 @@ class BaseActuators(Sampled):
         if thrusters is not None:
             firing, kept = self._fire(thrusters, asked, memory, rotation, begins=now.phase[0])
             really = thrusters.failing(firing, gain, floor) if self._may_break else firing
-            told[:6] = _turned_back(firing.wrench, rotation)
-            applied[:6] = _turned_back(really.wrench, rotation)
+            told[:6], applied[:6] = (
+                _turned_back(each.wrench, rotation) for each in (firing, really)
+            )
             found = {"thruster_force": really.force, "thruster_open": firing.open_share}
             found["thruster_given"] = firing.given
             told_units.append(firing.force)
@@ -191,8 +192,10 @@ class BaseActuators(Sampled):
             stopped = torques
             if self._may_break:
                 stopped = wheels.stopping(torques, stops, momentum, turning)
-            by_wheels = rotation.dot(stopped.on_base) + missing
-            told[:3] += rotation.dot(torques.on_base) + missing
+            by_told, by_wheels = (
+                rotation.dot(each.on_base) + missing for each in (torques, stopped)
+            )
+            told[:3] += by_told
             applied[:3] += by_wheels
             told_units.append(torques.on_wheels)
             found |= {"wheel_momentum": momentum, "wheel_torque": stopped.motor}

@@ -1,6 +1,5 @@
 """One case and controller -> one row. This runs in the workers."""
 
-import contextlib
 import dataclasses
 import functools
 import itertools
@@ -17,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.common.errors import BlockError, FfsmError, LimitError, one_line
+from ffsm_drake.common.errors import BlockError, LimitError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import number
@@ -29,7 +28,7 @@ from ffsm_drake.plugins.campaign.prediction import predict_many
 from ffsm_drake.plugins.campaign.spec import OLD_ENGINE, Spec, spec_from_json
 from ffsm_drake.runs.batches import Kept, run_many
 from ffsm_drake.runs.ending import GROWING, NOT_CAPTURED
-from ffsm_drake.runs.engine import DRAKE, find_engine, on_drake
+from ffsm_drake.runs.engine import DRAKE
 from ffsm_drake.runs.limits import CLEARANCE, distances_in, limits_left, not_measured
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import METRICS as RUN_METRICS
@@ -233,22 +232,18 @@ Row = dict[str, Any]
 Foreseen = tuple[float, ...] | Exception  # predictions of a run, or why there are none
 
 
-@dataclasses.dataclass(frozen=True)
-class Batch:
-    """Runs that a worker computes together: cases, each with a controller."""
-
-    runs: tuple[tuple[Case, str], ...]
-
-    @property
-    def parts(self) -> "tuple[Batch, ...]":
-        """One batch for each run."""
-        return tuple(Batch((run,)) for run in self.runs)
+Batch = tuple[tuple[Case, str], ...]  # runs that a worker computes together: case, controller
 
 
 def batches(tasks: Iterator[tuple[Case, str]], *, size: Callable[[], int]) -> Iterator[Batch]:
     """Runs in their order, at most ``size()`` in a batch."""
     while some := tuple(itertools.islice(tasks, size())):
-        yield Batch(some)
+        yield some
+
+
+def alone(batch: Batch) -> tuple[Batch, ...]:
+    """Return a batch for each run."""
+    return tuple((run,) for run in batch)
 
 
 # A cluster's worker may have several threads; a simulator and the building of one serve one.
@@ -276,108 +271,92 @@ class Evaluator:
 
     def __init__(self, spec: Spec) -> None:
         self._spec = spec
-        self._metrics, self._predictions = metrics_of(spec), predictions_of(spec)
+        self._predictions = predictions_of(spec)
+        self._columns = (*metrics_of(spec), *self._predictions, *engine_columns(spec))
         self._signals = signals_of(spec)
-        self._rollouts: dict[str, Kept] = {}  # by controller
+        self._kept = Kept()
         self._software = " ".join(
             f"{name} {version}" for name, version in software_versions().items()
         )
 
+    def evaluate(self, case: Case, controller: str) -> Row:
+        """Return the row of one case."""
+        (row,) = self.evaluate_batch(((case, controller),))
+        return row
+
     def evaluate_batch(self, batch: Batch) -> list[Row]:
         """Return the rows of a batch, as the function ``evaluate`` returns them."""
-        start = time.perf_counter()
-        logs = self._together(batch)
-        share = (time.perf_counter() - start) / max(len(logs), 1)
-        foreseen = self._foreseen(logs)
+        start, count = time.perf_counter(), len(batch)
+        try:
+            with guarded, time_limit(self._spec.time_limit * count):
+                rows = self._rows(batch)
+        except (Exception, TimeLimit) as error:
+            self._kept.drop()  # a rollout may be half done
+            if count > 1:  # alone each has its own limit, and reports an error
+                return [*itertools.chain(*map(self.evaluate_batch, alone(batch)))]
+            rows = [failure_row(error)]
+        circumstances = {
+            "wall_time": (time.perf_counter() - start) / count,
+            "worker": f"{socket.gethostname()}:{os.getpid()}",
+            "rss_mib": resident_memory(),
+            "software": self._software,
+        }
+        return [dict.fromkeys(self._columns) | row | circumstances for row in rows]
+
+    def _rows(self, batch: Batch) -> list[Row]:
+        results = self._results(batch)
+        logs = {place: found for place, found in results.items() if isinstance(found, RunLog)}
+        foreseen = dict[int, Foreseen]()
+        if self._spec.predictions:
+            predictions = predict_many([log.scenario for log in logs.values()])
+            foreseen = dict(zip(logs, predictions, strict=True))
         rows = []
-        for place, run in enumerate(batch.runs):
-            log, known = logs.get(place), foreseen.get(place)
-            rows.append(self.evaluate(*run, log=log, foreseen=known))
-            rows[-1]["wall_time"] += share if place in logs else 0.0
+        for place, (case, _) in enumerate(batch):
+            try:
+                if isinstance(found := results[place], Exception):
+                    raise found
+                row = evaluate_run(self._spec, found) | self._engine_of(found, case)
+                if place in foreseen:
+                    row |= self._predicted(foreseen[place], row["message"])
+            except Exception as error:
+                row = failure_row(error)
+            rows.append(row)
         return rows
 
-    def _foreseen(self, logs: Mapping[int, RunLog]) -> dict[int, Foreseen]:
-        """Return the predictions of the runs with these logs, all at once; none if that takes too
-        long.
-        """
-        if not self._spec.predictions:
-            return {}
-        scenarios = [log.scenario for log in logs.values()]
-        limit = self._spec.time_limit * max(len(logs), 1)
-        with contextlib.suppress(TimeLimit, FfsmError), guarded, time_limit(limit):
-            return dict(zip(logs, predict_many(scenarios), strict=True))
-        return {}
+    def _results(self, batch: Batch) -> dict[int, RunLog | Exception]:
+        """Return the logs of the runs by their place in the batch, or why there is none.
 
-    def _together(self, batch: Batch) -> dict[int, RunLog]:
-        """Return the logs of the runs that an engine computes at once, by their place in the batch;
-        none on Drake.
+        The scenarios of a case share all but the controller.
         """
-        if self._spec.engine == DRAKE:
-            return {}
-        scenarios, cases = dict[int, Scenario](), dict[int, Scenario]()
-        for place, (case, controller) in enumerate(batch.runs if len(batch.runs) > 1 else ()):
-            with contextlib.suppress(Exception):  # the row reports the error
+        scenarios, results = dict[int, Scenario](), dict[int, RunLog | Exception]()
+        cases = dict[int, Scenario]()
+        for place, (case, controller) in enumerate(batch):
+            try:
                 if case.index not in cases:
                     scenario = timed(scenario_of(self._spec, case, controller))
                     if scenario.approach is not None:  # one that is refused would stop all
                         service("planned_approach", "capture.approach")(scenario)
                     cases[case.index] = scenario
                 scenarios[place] = with_controller(cases[case.index], controller)
+            except Exception as error:
+                results[place] = error
         places = list(scenarios)
-        limit, logs = self._spec.time_limit * max(len(places), 1), dict[int, RunLog]()
-        # alone each has its own, and reports an error
-        with contextlib.suppress(TimeLimit, FfsmError), time_limit(limit):
-            given = [scenarios[place] for place in places]
-            for at, result in run_many(given, engine=self._spec.engine, signals=self._signals):
-                if isinstance(result, RunLog):
-                    logs[places[at]] = result
-        return logs
+        found = run_many(
+            list(scenarios.values()),
+            engine=self._spec.engine,
+            signals=self._signals,
+            kept=self._kept,
+        )
+        return results | {places[at]: result for at, result in found}
 
-    def evaluate(
-        self,
-        case: Case,
-        controller: str,
-        *,
-        log: RunLog | None = None,
-        foreseen: Foreseen | None = None,
-    ) -> Row:
-        """Return the row of one case; ``log`` is that of its run, if it has run, and ``foreseen``
-        its predictions.
-        """
-        start = time.perf_counter()
-        own = engine_columns(self._spec)
-        row: Row = dict.fromkeys((*self._metrics, *self._predictions, *own))
-        try:
-            with guarded, time_limit(self._spec.time_limit):
-                if log is None:
-                    log = self._run(timed(scenario_of(self._spec, case, controller)))
-                row |= evaluate_run(self._spec, log) | self._engine_of(log, case)
-                if self._spec.predictions:
-                    row |= self._predicted(log.scenario, row["message"], foreseen)
-        except LimitError as error:  # no motion keeps the limits
-            refused = {"outcome": "refused", FIRST_LIMIT: error.limit}
-            row = dict.fromkeys(row) | error_row(str(error)) | refused
-        except (Exception, TimeLimit) as error:
-            if isinstance(error, TimeLimit):
-                self._rollouts.pop(controller, None)  # it may be half done
-            row = dict.fromkeys(row) | error_row(described(error))
-        return row | {
-            "wall_time": time.perf_counter() - start,
-            "worker": f"{socket.gethostname()}:{os.getpid()}",
-            "rss_mib": resident_memory(),
-            "software": self._software,
-        }
-
-    def _predicted(self, scenario: Scenario, message: str, foreseen: Foreseen | None) -> Row:
+    def _predicted(self, found: Foreseen, message: str) -> Row:
         """Return the predictions; if there are none, the message gives the reason."""
-        try:
-            (found,) = [foreseen] if foreseen else predict_many([scenario])
-            if isinstance(found, Exception):
-                raise found
-            return dict(zip(self._predictions, found, strict=False))
-        except BlockError as error:
-            why = f"{NO_PREDICTION}{one_line(error)}"
+        if isinstance(found, BlockError):
+            why = f"{NO_PREDICTION}{one_line(found)}"
             return {"message": "; ".join(filter(None, (message, why)))}
+        if isinstance(found, Exception):
+            raise found
+        return dict(zip(self._predictions, found, strict=False))
 
     def _engine_of(self, log: RunLog, case: Case) -> Row:
         """Return the columns ``engine_columns`` of a run."""
@@ -385,25 +364,12 @@ class Evaluator:
             return {}
         row: Row = {ENGINE: log.engine}
         if case.index % _COMPARED == 0 and not log.engine.startswith(DRAKE):
-            other = self._run_with_drake(log.scenario)
+            other = self._kept.rollout(log.scenario).run(log.scenario)
             count = min(log.time.size, other.time.size)
             difference = np.abs(log.error[:count] - other.error[:count]).max()
             outcome = evaluate_run(self._spec, other)["outcome"]
             row |= {DRAKE_OUTCOME: outcome, DRAKE_DIFFERENCE: float(difference)}
         return row
-
-    def _run(self, scenario: Scenario) -> RunLog:
-        if (engine := find_engine(self._spec.engine)) is None:
-            return self._run_with_drake(scenario)
-        (found,) = engine.run_all([scenario], self._signals)
-        if isinstance(found, RunLog):
-            return found
-        return dataclasses.replace(self._run_with_drake(scenario), engine=on_drake(found))
-
-    def _run_with_drake(self, scenario: Scenario) -> RunLog:
-        kept = self._rollouts.setdefault(scenario.controller, Kept())
-        log: RunLog = kept.rollout(scenario).run(scenario)
-        return log
 
 
 def evaluate_run(spec: Spec, log: RunLog) -> Row:
@@ -440,15 +406,15 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
     return {**text, "outcome_time": log.outcome.time, **row}
 
 
-def described(error: BaseException) -> str:
-    """Return an exception on one line, its type in front."""
+def failure_row(error: BaseException) -> Row:
+    """Return the results in the row of a run that failed, or is refused: no motion keeps the
+    limits.
+    """
     text, kind = one_line(error), type(error).__name__
-    return text if text.startswith(kind) else f"{kind}: {text}"
-
-
-def error_row(message: str) -> Row:
-    """Return the results in the row of a run that failed."""
-    return {"outcome": "error", "outcome_time": None, "message": message, FIRST_LIMIT: None}
+    row = {"outcome": "error", "outcome_time": None, "message": text, FIRST_LIMIT: None}
+    if isinstance(error, LimitError):
+        return row | {"outcome": "refused", FIRST_LIMIT: error.limit}
+    return row if text.startswith(kind) else row | {"message": f"{kind}: {text}"}
 
 
 def resident_memory() -> float:

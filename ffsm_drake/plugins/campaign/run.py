@@ -1,6 +1,7 @@
 """The driver: cases to workers, rows to the database; stops, resumes, repeats a single run."""
 
 import contextlib
+import copy
 import dataclasses
 import itertools
 import os
@@ -25,22 +26,20 @@ from ffsm_drake.plugins.campaign.evaluate import (
     CIRCUMSTANCES,
     UNSETTLED,
     Row,
+    alone,
     batches,
-    described,
     differing_columns,
-    error_row,
     evaluate,
     evaluate_run,
+    failure_row,
 )
 from ffsm_drake.plugins.campaign.spec import Spec, check_engine, load_spec
 from ffsm_drake.plugins.campaign.store import Shard, Store, check_columns, create_store, open_store
 from ffsm_drake.runs.batches import run_many, usual_batch
 from ffsm_drake.runs.engine import find_engine
-from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.simulate import make_record
-from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.reference import timed
 
 # Memory at which a process is replaced: Drake keeps every diagram with a Python system alive, some
@@ -51,28 +50,49 @@ _BATCHES_EACH = 4  # least number for each task in flight
 LONGEST = 30.0  # s for a batch: what an interruption may lose, and the silence before its rows
 _LOST = {
     **dict.fromkeys(CIRCUMSTANCES),
-    **error_row(
-        "WorkerLost: the worker process died each time it ran this, or exceeded time_limit"
-    ),
+    "outcome": "error",
+    "message": "WorkerLost: the worker process died each time it ran this, or exceeded time_limit",
     "software": "unknown",
 }
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(kw_only=True)
 class Progress:
     """Progress of a campaign."""
 
-    done: int  # runs stored, those of earlier sessions included
+    before: int  # runs stored by earlier sessions
     total: int
-    elapsed: float  # s of this session
-    session: int  # runs of this session
-    failed: int  # runs of this session that ended in an error
-    unsettled: int  # runs of this session that ended without settling
+    start: float = dataclasses.field(default_factory=time.perf_counter)
+    elapsed: float = 0.0  # s of this session
+    session: int = 0  # runs of this session
+    failed: int = 0  # runs of this session that ended in an error
+    unsettled: int = 0  # runs of this session that ended without settling
+    computing: float = 0.0  # s of wall time of this session's runs, in all workers
+
+    def add(self, rows: Sequence[Row]) -> None:
+        """Count stored runs."""
+        outcomes = [row["outcome"] for row in rows]
+        self.elapsed = time.perf_counter() - self.start
+        self.session += len(outcomes)
+        self.failed += outcomes.count("error")
+        self.unsettled += sum(map(outcomes.count, UNSETTLED))
+        self.computing += sum(row["wall_time"] or 0.0 for row in rows)
+
+    @property
+    def done(self) -> int:
+        """Runs stored, those of earlier sessions included."""
+        return self.before + self.session
 
     @property
     def remaining(self) -> float | None:
         """Expected s to the end; None before there is a rate."""
         return (self.total - self.done) * self.elapsed / self.session if self.session else None
+
+    def next_batch(self, most: int) -> int:
+        """Number of runs in the next batch: one until runs have shown their time, then as many as
+        take LONGEST, as the runs of a batch end together.
+        """
+        return max(1, min(most, int(LONGEST * self.session / max(self.computing, 1e-9))))
 
     def __str__(self) -> str:
         """Such as: 120 of 10000 runs (1.2 %), 5.1/s, 32 min left, 3 not settled, 1 error."""
@@ -225,25 +245,6 @@ def merge_campaigns(databases: Sequence[Path], out: Path) -> None:
             merged.add_results_of(databases)
 
 
-@dataclasses.dataclass
-class BatchSizes:
-    """The number of runs in the next batch: one until runs have shown their time, then as many
-    as take LONGEST, as the runs of a batch end together.
-    """
-
-    most: int
-    runs: int = 0
-    seconds: float = 0.0
-
-    def add(self, rows: Sequence[Row]) -> None:
-        """Count the time of stored runs."""
-        self.runs += len(rows)
-        self.seconds += sum(row["wall_time"] or 0.0 for row in rows)
-
-    def __call__(self) -> int:
-        return max(1, min(self.most, int(LONGEST * self.runs / max(self.seconds, 1e-9))))
-
-
 def _drive(
     store: Store,
     workers: Workers,
@@ -252,50 +253,42 @@ def _drive(
     progress: Callable[[Progress], None] | None,
 ) -> None:
     check_engine(store.spec)
-    campaign, start, total = store.spec.to_json(), time.perf_counter(), store.runs
-    before = store.num_results()
-    tally = {"session": 0, "failed": 0, "unsettled": 0}
+    campaign, total = store.spec.to_json(), store.runs
+    counts = Progress(before=store.num_results(), total=total)
 
     def report() -> None:
         if progress is not None:
-            elapsed = time.perf_counter() - start
-            progress(
-                Progress(done=before + tally["session"], total=total, elapsed=elapsed, **tally)
-            )
+            progress(copy.copy(counts))
 
     report()
     # so small that the workers end at about the same time
-    share = (total - before) // (_BATCHES_EACH * workers.in_flight())
+    share = (total - counts.done) // (_BATCHES_EACH * workers.in_flight())
     samples = store.spec.base_scenario.num_control_periods
     usual = usual_batch(find_engine(store.spec.engine), samples=samples)
-    sizes = BatchSizes(max(1, min(batch or usual, share)))
+    most = min(batch or usual, share)
     results = Runs(
         evaluate,
-        batches(store.pending(), size=sizes),
+        batches(store.pending(), size=lambda: counts.next_batch(most)),
         arguments=lambda some: (campaign, some),
         workers=workers,
         stop=Stop() if stop is None else stop,  # a stop that is not set counts as false
         should_renew=lambda rows: any(row["rss_mib"] > MEMORY_LIMIT for row in rows),
-        split=lambda some: some.parts,
+        split=alone,
     ).results()
     try:
         runs = counted(total, "run")
-        with contextlib.closing(results), step(lambda: f"{before + tally['session']} of {runs}"):
+        with contextlib.closing(results), step(lambda: f"{counts.done} of {runs}"):
             for some, result in results:
-                rows = [_LOST] * len(some.runs) if isinstance(result, WorkerLost) else result
+                rows = [_LOST] * len(some) if isinstance(result, WorkerLost) else result
                 store.add(some, rows)
-                outcomes = [row["outcome"] for row in rows]
-                sizes.add(rows)
-                tally["session"] += len(outcomes)
-                tally["failed"] += outcomes.count("error")
-                tally["unsettled"] += sum(map(outcomes.count, UNSETTLED))
+                counts.add(rows)
                 report()
     except (CampaignError, WorkersError) as error:
-        if done := before + tally["session"]:
-            raise type(error)(f"{error}; {_stored(done, store)}") from error
+        if counts.done:
+            raise type(error)(f"{error}; {_stored(counts.done, store)}") from error
         raise
-    if before + tally["session"] < total:
-        raise InterruptedCampaign(before + tally["session"], total)
+    if counts.done < total:
+        raise InterruptedCampaign(counts.done, total)
     if (done := store.num_results()) < total:
         raise CampaignError(
             f"{store.path}: another program removed results while it ran; {_stored(done, store)}"
@@ -320,13 +313,6 @@ class Repeated:
     differences: list[str]  # columns that differ
 
 
-def _run_again(scenario: Scenario, engine: str) -> RunLog:
-    ((_, result),) = run_many([timed(scenario)], engine=engine)
-    if isinstance(result, Exception):
-        raise result
-    return result
-
-
 def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
     """Run one case again, with the full record.
 
@@ -339,13 +325,17 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
     try:
         name = f"case {case.index} with {controller}"
         with step(name), guarded, time_limit(store.spec.time_limit):
-            log = _run_again(scenario_of(store.spec, case, controller), store.spec.engine)
+            scenario = timed(scenario_of(store.spec, case, controller))
+            ((_, found),) = run_many([scenario], engine=store.spec.engine)
+        if isinstance(found, Exception):
+            raise found
+        log = found
         if log.outcome.status == "interrupted":
             raise KeyboardInterrupt
         repeated = evaluate_run(store.spec, log)
     except (Exception, TimeLimit) as error:
         log = getattr(error, "log", None)  # up to where user-supplied code failed
-        repeated = error_row(described(error))
+        repeated = failure_row(error)
     record = None if log is None else make_record(log, start=start)
     return Repeated(
         record=record,

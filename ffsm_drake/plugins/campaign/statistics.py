@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+import pandas as pd  # type: ignore[import-untyped]
 from scipy import stats
 
 from ffsm_drake.common.interrupts import interruptible
@@ -76,35 +77,28 @@ class Table:
 @step("reading the runs")
 def read_table(store: Store) -> Table:
     """Read the results that a database holds so far."""
-    columns = ("outcome_time", "wall_time", *metrics_of(store.spec), *predictions_of(store.spec))
+    spec = store.spec
+    numbers = ("outcome_time", "wall_time", *metrics_of(spec), *predictions_of(spec))
+    columns = ("controller", "case_index", "outcome", *texts_of(spec), *numbers)
+    rows = store.query(f"SELECT {', '.join(columns)} FROM results ORDER BY case_index")
+    frame = pd.DataFrame(rows, columns=columns).astype(dict.fromkeys(numbers, float))
     runs = {}
-    for controller in store.spec.controllers:
-        select = f"SELECT case_index, outcome, {', '.join(columns)} FROM results"
-        rows = store.query(f"{select} WHERE controller = ? ORDER BY 1", (controller,))
-        cells = list(zip(*rows, strict=True)) or [()] * (2 + len(columns))
-        runs[controller] = Runs(
-            controller=controller,
-            case=np.array(cells[0], dtype=int),
-            outcome=np.array(cells[1], dtype=str),
-            metrics={
-                name: np.array(cell, dtype=float)
-                for name, cell in zip(columns, cells[2:], strict=True)
-            },
+    for name in spec.controllers:
+        own = frame[frame["controller"] == name]
+        limits = own[FIRST_LIMIT].fillna("").to_numpy(str) if FIRST_LIMIT in own else None
+        runs[name] = Runs(
+            controller=name,
+            case=own["case_index"].to_numpy(int),
+            outcome=own["outcome"].to_numpy(str),
+            metrics={each: own[each].to_numpy() for each in numbers},
+            first_limit=limits,
         )
-        if texts_of(store.spec):
-            limits = store.query(
-                f"SELECT coalesce({FIRST_LIMIT}, '') FROM results WHERE controller = ? ORDER BY "
-                "case_index",
-                (controller,),
-            )
-            runs[controller] = dataclasses.replace(
-                runs[controller], first_limit=np.array([row[0] for row in limits])
-            )
-    values = {}
-    for name in store.spec.distributions:
-        column = store.sampled(name)
-        if all(isinstance(value, (int, float)) for value in column) and len(set(column)) > 1:
-            values[name] = np.array(column, dtype=float)
+    sampled = {name: store.sampled(name) for name in spec.distributions}
+    values = {
+        name: np.array(column, dtype=float)
+        for name, column in sampled.items()
+        if all(isinstance(value, (int, float)) for value in column) and len(set(column)) > 1
+    }
     return Table(runs=runs, values=values)
 
 
@@ -275,14 +269,13 @@ class Agreement:
 def agreement(runs: Runs) -> Agreement:
     """Count predictions and outcomes, without errors, refused runs and runs without prediction."""
     known = ~np.isin(runs.outcome, ("error", "refused")) & ~np.isnan(runs.predicted)
-    stable, settled = (runs.predicted < 1.0)[known], runs.settled[known]
-    return Agreement(
-        controller=runs.controller,
-        stable_settled=int((stable & settled).sum()),
-        stable_failed=int((stable & ~settled).sum()),
-        unstable_settled=int((~stable & settled).sum()),
-        unstable_failed=int((~stable & ~settled).sum()),
-    )
+    stable = runs.predicted < 1.0
+    counts = {
+        f"{prediction}_{outcome}": int((known & foreseen & found).sum())
+        for prediction, foreseen in (("stable", stable), ("unstable", ~stable))
+        for outcome, found in (("settled", runs.settled), ("failed", ~runs.settled))
+    }
+    return Agreement(controller=runs.controller, **counts)
 
 
 def worst_runs(runs: Runs) -> np.ndarray:
@@ -302,9 +295,7 @@ def worst_runs(runs: Runs) -> np.ndarray:
 def quantiles(runs: Runs, metric: str) -> tuple[float, float, float]:
     """5 %, 50 % and 95 % quantile of a metric over the settled runs; NaN if there is none."""
     values = runs.metrics[metric][runs.settled]
-    if values.size == 0:
-        return math.nan, math.nan, math.nan
-    low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
+    low, middle, high = np.quantile(values, (0.05, 0.5, 0.95)) if values.size else [math.nan] * 3
     return float(low), float(middle), float(high)
 
 
@@ -324,26 +315,22 @@ def grid_points(spec: Spec, table: Table) -> list[GridPoint]:
     """
     if spec.sampling != "grid":
         return []
+    combinations = math.prod(len(item.levels) for item in spec.distributions.values())
     return [
-        _grid_point(spec, runs, first)
-        for first in range(_num_combinations(spec))
+        _grid_point(spec, runs, first, runs.case % combinations == first)
+        for first in range(combinations)
         for runs in table.runs.values()
         if first in runs.case
     ]
 
 
-def _num_combinations(spec: Spec) -> int:
-    return math.prod(len(item.levels) for item in spec.distributions.values())
-
-
-def _grid_point(spec: Spec, runs: Runs, first: int) -> GridPoint:
-    here = runs.case % _num_combinations(spec) == first
+def _grid_point(spec: Spec, runs: Runs, first: int, here: np.ndarray) -> GridPoint:
     ended = here & np.isin(runs.outcome, COMPLETED)
     names, counts = np.unique(runs.outcome[here], return_counts=True)
     return GridPoint(
         levels={name: spec.level(name, first) for name in spec.distributions},
         controller=runs.controller,
-        outcomes=dict(zip(map(str, names), map(int, counts), strict=True)),
+        outcomes=dict(zip(names.tolist(), counts.tolist(), strict=True)),
         means={
             name: float(values[ended].mean()) if ended.any() else math.nan
             for name, values in runs.metrics.items()

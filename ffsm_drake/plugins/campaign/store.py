@@ -43,6 +43,7 @@ from ffsm_drake.plugins.campaign.spec import OLD_ENGINE, Spec, spec_from_json
 FORMAT = 2
 _APPLICATION_ID = 0x66667363  # marks the file as a campaign's
 _TEXT = ("outcome", "message", "worker", FIRST_LIMIT, ENGINE, OLD_ENGINE, DRAKE_OUTCOME)
+_NOTES = "CREATE TABLE campaign (key TEXT PRIMARY KEY, value TEXT)"
 _CHUNK, _EXPORTED = 200, 10_000  # cases, and rows of an export, held at a time
 PATIENCE = 5.0  # s to wait for another program's lock
 
@@ -118,7 +119,6 @@ class Store:
 
     def check(self) -> None:
         """Raise CampaignError unless the tables can be those of this campaign."""
-        self._check_columns()
         cases = next(self.query("SELECT count(*), min(case_index), max(case_index) FROM cases"))
         if cases != (self.spec.cases, 0, self.spec.cases - 1):
             raise self._damaged(
@@ -128,22 +128,7 @@ class Store:
             raise self._damaged(
                 f"it holds {counted(stored, 'result')} of {counted(self.runs, 'run')}"
             )
-        view = "SELECT sql FROM sqlite_master WHERE name = 'runs'"
-        if [sql for (sql,) in self.query(view)] != [_view(self.spec)]:
-            raise self._damaged("its view runs is not a campaign's")
         self._check_cells()
-
-    def _check_columns(self) -> None:
-        columns = {
-            "cases": ("case_index", "random_seed", *self.spec.names),
-            "results": ("case_index", "controller", *self._results, "software"),
-            "runs": self.columns,
-        }
-        for table, names in columns.items():
-            with _one_line_errors(self.path):
-                description = self._connection.execute(f"SELECT * FROM {table} LIMIT 0").description
-            if tuple(item[0] for item in description) != names:
-                raise self._damaged(f"the columns of {table} are not a campaign's")
 
     def _check_cells(self) -> None:
         """Raise CampaignError for a cell of a wrong type, or an unknown case, outcome, ..."""
@@ -181,7 +166,7 @@ class Store:
     def add(self, batch: Batch, rows: Sequence[Row]) -> None:
         """Store the results of a batch, all or none."""
         with _one_line_errors(self.path), self._connection:
-            for (case, controller), row in zip(batch.runs, rows, strict=True):
+            for (case, controller), row in zip(batch, rows, strict=True):
                 self._insert(case.index, controller, row)
 
     def _insert(self, case: int, controller: str, row: Row) -> None:
@@ -379,26 +364,20 @@ def create_store(
         contextlib.closing(sqlite3.connect(temporary)) as connection,
     ):
         _fill(connection, spec, cases, folder=path.parent, shard=shard or Shard())
-    files = [path.with_name(f"{path.name}{suffix}") for suffix in ("", "-wal", "-shm", "-journal")]
-    opened = False
+    keep = False  # as when the disk is full
     try:
         with open_store(path, writing=True) as store:
-            opened = True
+            keep = True
             try:
                 yield store
             except (FfsmError, OSError):
-                if store.num_results() == 0:
-                    _remove(files)
+                keep = store.num_results() > 0
                 raise
     except (FfsmError, OSError):
-        if not opened:  # the disk is full
-            _remove(files)
+        if not keep:
+            for suffix in ("", "-wal", "-shm", "-journal"):
+                path.with_name(f"{path.name}{suffix}").unlink(missing_ok=True)
         raise
-
-
-def _remove(files: Iterable[Path]) -> None:
-    for file in files:
-        file.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -419,7 +398,13 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
         )
         if connection.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION_ID:
             raise CampaignError(f"{path}: is not a campaign's database")
-        _check_schema(connection, path)
+        connection.execute("PRAGMA trusted_schema = OFF")
+        schema = dict(connection.execute("SELECT name, sql FROM sqlite_master"))
+        triggers = "SELECT 1 FROM sqlite_master WHERE type = 'trigger'"
+        foreign = f"{path}: is damaged: its tables are not a campaign's"
+        # reading another view may never end, and a trigger writes
+        if schema.get("campaign") != _NOTES or connection.execute(triggers).fetchone():
+            raise CampaignError(foreign)
         problem = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
         if problem != "ok":
             raise CampaignError(f"{path}: is damaged: {' '.join(problem.split())}")
@@ -442,6 +427,8 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
             raise CampaignError(
                 f"{path}: is damaged: it holds no usable specification: {one_line(error)}"
             ) from error
+        if any(schema.get(name) != sql for name, sql in _schema(spec).items()):
+            raise CampaignError(foreign)
         store.check()
         try:
             yield store
@@ -453,32 +440,23 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
                     connection.execute("PRAGMA journal_mode = DELETE")
 
 
-def _check_schema(connection: sqlite3.Connection, path: Path) -> None:
-    """Raise CampaignError for a database whose reading runs more than a campaign's: a view may
-    never end, and a trigger writes.
-    """
-    connection.execute("PRAGMA trusted_schema = OFF")
-    found = connection.execute("SELECT name, type, sql FROM sqlite_master").fetchall()
-    kinds = {name: (kind, sql or "") for name, kind, sql in found}
-    plain = all(
-        kinds[name][0] == "table" and kinds[name][1].startswith("CREATE TABLE")
-        for name in ("campaign", "cases", "software", "results")
-        if name in kinds
-    )
-    if not plain or any(kind == "trigger" for kind, _ in kinds.values()):
-        raise CampaignError(f"{path}: is damaged: its tables are not a campaign's")
-
-
-def _view(spec: Spec) -> str:
-    """Return the statement that makes the view ``runs``."""
-    values = [_quoted(name) for name in spec.names]
-    shown = [f"cases.{name}" for name in values]
-    shown += [f"results.{name}" for name in result_columns(spec)]
-    return (
-        "CREATE VIEW runs AS SELECT cases.case_index, results.controller, cases.random_seed, "
-        f"{', '.join(shown)}, software.versions AS software FROM results JOIN cases USING "
-        "(case_index) JOIN software ON software.id = results.software"
-    )
+def _schema(spec: Spec) -> dict[str, str]:
+    """Return the statements that make the tables and the view of a campaign, by name."""
+    values, columns = [_quoted(name) for name in spec.names], result_columns(spec)
+    results = [f"{name} {'TEXT' if name in _TEXT else 'REAL'}" for name in columns]
+    shown = [f"cases.{name}" for name in values] + [f"results.{name}" for name in columns]
+    return {
+        "campaign": _NOTES,
+        "cases": "CREATE TABLE cases (case_index INTEGER PRIMARY KEY, "
+        f"{', '.join(['random_seed', *values])})",
+        "software": "CREATE TABLE software (id INTEGER PRIMARY KEY, versions TEXT UNIQUE)",
+        "results": "CREATE TABLE results (case_index INTEGER REFERENCES cases, controller TEXT, "
+        f"{', '.join(results)}, software INTEGER REFERENCES software, PRIMARY KEY (case_index, "
+        "controller)) WITHOUT ROWID",
+        "runs": "CREATE VIEW runs AS SELECT cases.case_index, results.controller, "
+        f"cases.random_seed, {', '.join(shown)}, software.versions AS software FROM results JOIN "
+        "cases USING (case_index) JOIN software ON software.id = results.software",
+    }
 
 
 def _fill(
@@ -489,23 +467,10 @@ def _fill(
     folder: Path,
     shard: Shard,
 ) -> None:
-    values = [_quoted(name) for name in spec.names]
-    columns = result_columns(spec)
-    results = [f"{name} {'TEXT' if name in _TEXT else 'REAL'}" for name in columns]
     with connection:
         connection.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
-        connection.execute("CREATE TABLE campaign (key TEXT PRIMARY KEY, value TEXT)")
-        connection.execute(
-            "CREATE TABLE cases (case_index INTEGER PRIMARY KEY, "
-            f"{', '.join(['random_seed', *values])})"
-        )
-        connection.execute("CREATE TABLE software (id INTEGER PRIMARY KEY, versions TEXT UNIQUE)")
-        connection.execute(
-            "CREATE TABLE results (case_index INTEGER REFERENCES cases, controller TEXT, "
-            f"{', '.join(results)}, software INTEGER REFERENCES software, PRIMARY KEY (case_index, "
-            "controller)) WITHOUT ROWID"
-        )
-        connection.execute(_view(spec))
+        for statement in _schema(spec).values():
+            connection.execute(statement)
         notes = {
             "format": str(FORMAT),
             "specification": spec.to_json(folder),
@@ -515,7 +480,7 @@ def _fill(
         }
         connection.executemany("INSERT INTO campaign VALUES (?, ?)", notes.items())
         connection.executemany(
-            f"INSERT INTO cases VALUES (?, ?, {_places(values)})",
+            f"INSERT INTO cases VALUES (?, ?, {_places(spec.names)})",
             ((case.index, case.seed, *map(_to_column, case.values.values())) for case in cases),
         )
 

@@ -11,8 +11,10 @@ from pathlib import Path
 import alone  # noqa: F401 (what processes have loaded)
 import yaml
 from children import PIPE, STDOUT, child, pool, processes
+from click.testing import CliRunner
 
 from ffsm_drake.common.workers import InThisProcess, Stop, Workers
+from ffsm_drake.plugins.campaign.command import campaign
 from ffsm_drake.plugins.campaign.evaluate import METRICS, PREDICTIONS
 from ffsm_drake.plugins.campaign.run import start_campaign
 from ffsm_drake.plugins.campaign.spec import load_spec
@@ -71,25 +73,28 @@ def run_here(spec_file: Path, database: Path, *, workers: Workers = HERE) -> Pat
     return database
 
 
+def invoke(*words):
+    """``ffsm campaign`` in this process."""
+    return CliRunner().invoke(campaign, [str(word) for word in words])
+
+
+def sql(database: Path, *statements: str) -> list[tuple]:
+    """Execute statements, as another program would; the rows of the last one."""
+    with contextlib.closing(sqlite3.connect(database, timeout=10)) as connection, connection:
+        return [connection.execute(each).fetchall() for each in statements][-1]
+
+
 def table(database: Path) -> list[tuple]:
     """All that must be the same however a campaign was run."""
-    columns = ", ".join(
-        ("case_index", "controller", "random_seed", "outcome", "outcome_time", "message")
-    )
-    values = '"payload.truth.mass", "sensing.velocity_noise", "payload.nominal.inertia"'
-    with contextlib.closing(sqlite3.connect(database)) as connection:
-        return connection.execute(
-            f"SELECT {columns}, {values}, {', '.join((*METRICS, *PREDICTIONS))} FROM runs ORDER "
-            "BY 1, 2"
-        ).fetchall()
+    columns = ("case_index", "controller", "random_seed", "outcome", "outcome_time", "message")
+    values = ('"payload.truth.mass"', '"sensing.velocity_noise"', '"payload.nominal.inertia"')
+    names = ", ".join((*columns, *values, *METRICS, *PREDICTIONS))
+    return sql(database, f"SELECT {names} FROM runs ORDER BY 1, 2")
 
 
 def count(database: Path) -> int:
     """Stored runs; 0 before the database is there."""
-    if not database.exists():
-        return 0
-    with contextlib.closing(sqlite3.connect(database, timeout=10)) as connection:
-        return connection.execute("SELECT count(*) FROM results").fetchone()[0]
+    return sql(database, "SELECT count(*) FROM results")[0][0] if database.exists() else 0
 
 
 def driver(*arguments: str):

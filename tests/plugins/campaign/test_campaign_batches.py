@@ -2,9 +2,10 @@
 
 import tempfile
 from pathlib import Path
+from signal import SIGKILL, SIGSEGV
 
 import pytest
-from campaign_tools import HERE, forked, run_here, table, write_spec
+from campaign_tools import HERE, forked, invoke, run_here, table, write_spec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -12,8 +13,8 @@ import ffsm_drake.plugins.campaign.run as campaign_run
 from ffsm_drake.common.errors import InterruptedCampaign
 from ffsm_drake.common.workers import Stop
 from ffsm_drake.plugins.campaign.cases import Case
-from ffsm_drake.plugins.campaign.evaluate import CIRCUMSTANCES, batches, error_row
-from ffsm_drake.plugins.campaign.run import LONGEST, BatchSizes, resume_campaign, start_campaign
+from ffsm_drake.plugins.campaign.evaluate import CIRCUMSTANCES, alone, batches, failure_row
+from ffsm_drake.plugins.campaign.run import LONGEST, Progress, resume_campaign, start_campaign
 from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_data
 from ffsm_drake.plugins.campaign.store import open_store
 
@@ -26,10 +27,9 @@ def test_every_task_is_in_one_batch(tasks, size):
     cases = [Case(index=index, seed=0, values={}) for index in range(21)]
     given_tasks = [(cases[i], name) for i, name in sorted(tasks)]
     found = list(batches(iter(given_tasks), size=lambda: size))
-    assert all(1 <= len(batch.runs) <= size for batch in found)
-    made = [run for batch in found for run in batch.runs]
-    assert made == given_tasks
-    assert [part.runs for batch in found for part in batch.parts] == [(run,) for run in made]
+    assert all(1 <= len(batch) <= size for batch in found)
+    assert [run for batch in found for run in batch] == given_tasks
+    assert [part for batch in found for part in alone(batch)] == [(run,) for run in given_tasks]
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +48,22 @@ def spec(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def rows(spec, tmp_path_factory):
-    return table(run_here(spec, tmp_path_factory.mktemp("database") / "one.db"))
+def database(spec, tmp_path_factory):
+    return run_here(spec, tmp_path_factory.mktemp("database") / "one.db")
+
+
+@pytest.fixture(scope="module")
+def rows(database):
+    return table(database)
+
+
+def test_a_failing_case_is_a_row_that_fails_again(database, rows):
+    said = "ScenarioError: payload.truth.mass: must be > 0 kg, not -1"
+    errors = [row for row in rows if row[3] == "error"]
+    assert [(row[0], row[5]) for row in errors] == [(2, said), (2, said)]
+    result = invoke("rerun", database, "--case", 2)
+    assert result.exit_code == 0, result.output
+    assert result.output.count("all values equal the stored ones, bit for bit") == 2
 
 
 @pytest.mark.slow
@@ -58,7 +72,7 @@ def rows(spec, tmp_path_factory):
     first=st.integers(1, 9),
     then=st.integers(1, 9),
     workers=st.integers(1, 2),
-    stopped_after=st.integers(1, 9),
+    stopped_after=st.integers(0, 9),
 )
 def test_rows_depend_on_no_batch_size_and_no_stop(spec, rows, first, then, workers, stopped_after):
     with tempfile.TemporaryDirectory() as folder:
@@ -77,20 +91,19 @@ def test_rows_depend_on_no_batch_size_and_no_stop(spec, rows, first, then, worke
             resume_campaign(path, workers=crew, batch=then)
         assert table(path) == rows
     assert len(rows) == 10
-    assert sum(row[3] == "error" for row in rows) == 2
 
 
 @given(seconds=st.lists(st.floats(0.0, 100.0), min_size=1, max_size=40), most=st.integers(1, 24))
 def test_a_batch_takes_no_longer_than_an_interruption_may_lose(seconds, most):
     """The runs of a batch end together; a batch has one run until the time of a run is known."""
-    sizes = BatchSizes(most)
-    assert sizes() == 1
+    progress = Progress(before=0, total=100)
+    assert progress.next_batch(most) == 1
     for each in seconds:
-        sizes.add([{"wall_time": each}])
-    mean = sum(seconds) / len(seconds)
-    assert 1 <= sizes() <= most
-    assert sizes() == 1 or sizes() * mean <= LONGEST * (1 + 1e-9)
-    assert sizes() == most or (sizes() + 1) * mean > LONGEST * (1 - 1e-9)
+        progress.add([{"outcome": "settled", "wall_time": each}])
+    mean, size = sum(seconds) / len(seconds), progress.next_batch(most)
+    assert 1 <= size <= most
+    assert size == 1 or size * mean <= LONGEST * (1 + 1e-9)
+    assert size == most or (size + 1) * mean > LONGEST * (1 - 1e-9)
 
 
 def test_the_rows_say_how_many_runs_a_batch_has(spec, tmp_path, monkeypatch):
@@ -99,9 +112,9 @@ def test_the_rows_say_how_many_runs_a_batch_has(spec, tmp_path, monkeypatch):
         sizes = found.setdefault(seconds, [])
 
         def slow(_, batch, sizes=sizes, seconds=seconds):
-            sizes.append(len(batch.runs))
+            sizes.append(len(batch))
             own = {**dict.fromkeys(CIRCUMSTANCES), "software": "", "wall_time": seconds}
-            return [{**own, "rss_mib": 0.0, **error_row("x")} for _ in batch.runs]
+            return [{**own, "rss_mib": 0.0, **failure_row(ValueError())} for _ in batch]
 
         monkeypatch.setattr(campaign_run, "evaluate", slow)
         loaded = spec_from_data({**load_spec(spec).data, "cases": 100})
@@ -111,39 +124,44 @@ def test_the_rows_say_how_many_runs_a_batch_has(spec, tmp_path, monkeypatch):
 
 
 KILLS_SOME = """
-import dataclasses, os, signal
-from ffsm_drake import ControlLaw
-from ffsm_drake.systems.controllers.law import gain
+import dataclasses, faulthandler, os
+from ffsm_drake import ControlLaw, gain
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class KillsSome(ControlLaw):
-    deadly: float = gain(0.0, "", "ends the process if positive", scalar=True)
+    deadly: float = gain(0.0, "", "signal that ends the process", scalar=True)
 
     def step(self, sample, state):
         if self.deadly > 0.0:
-            os.kill(os.getpid(), signal.SIGKILL)
+            faulthandler.disable()
+            os.kill(os.getpid(), int(self.deadly))
         return 0.0 * sample.v, state
 """
 
 
-def test_only_the_case_that_kills_its_worker_is_lost(tmp_path):
+def test_only_the_cases_that_kill_their_worker_are_lost(tmp_path):
     (tmp_path / "kills_some.py").write_text(KILLS_SOME)
-    law = "kills_some:KillsSome"
-    deadly = {"distribution": "list", "values": [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]}
+    law, deadly = "kills_some:KillsSome", [0.0, 0.0, SIGKILL, 0.0, 0.0, SIGSEGV, 0.0, 0.0]
     spec = load_spec(
         write_spec(
             tmp_path / "s.yaml",
             overrides={"python_path": [str(tmp_path)], "duration": 0.05},
             controllers=["tdc", law],
-            parameters={"controllers.KillsSome.deadly": deadly},
+            parameters={
+                "controllers.KillsSome.deadly": {
+                    "distribution": "list",
+                    "values": [float(each) for each in deadly],
+                }
+            },
             factors={},
             derive={},
             cases=8,
         )
     )
-    start_campaign(spec, tmp_path / "x.db", workers=forked(1, in_flight=1), batch=4)
+    start_campaign(spec, tmp_path / "x.db", workers=forked(1, in_flight=2), batch=4)
     with open_store(tmp_path / "x.db") as store:
-        messages = [store.result(index, law)["message"] for index in range(8)]
-        assert store.num_results() == 16
-    assert "the worker process died each time" in messages[2]
-    assert not any("died" in message for k, message in enumerate(messages) if k != 2)
+        found = [store.result(index, law) for index in range(8)]
+        assert store.counts()["tdc"]["settled"] == 8
+    for row, signal in zip(found, deadly, strict=True):
+        assert (row["outcome"] == "error") == (signal > 0.0)
+        assert ("the worker process died each time it ran this" in row["message"]) == (signal > 0.0)

@@ -4,10 +4,8 @@ what is predicted.
 
 import numpy as np
 import pytest
-from campaign_tools import run_here, write_spec
-from click.testing import CliRunner
+from campaign_tools import invoke, run_here, write_spec
 
-from ffsm_drake.plugins.campaign.command import campaign
 from ffsm_drake.plugins.campaign.prediction import predict
 from ffsm_drake.plugins.campaign.spec import load_spec
 from ffsm_drake.plugins.campaign.statistics import agreement, read_table
@@ -103,17 +101,12 @@ def test_the_report_counts_them(database, tmp_path, monkeypatch):
         runs = read_table(store).runs["tdc"]
     assert runs.first_limit.tolist()[::3] == ["", "clearance"]
     assert agreement(runs).total == 3  # not the one that was refused
-    result = CliRunner().invoke(campaign, ["report", str(database), "--out", str(tmp_path)])
+    result = invoke("report", database, "--out", tmp_path)
     assert result.exit_code == 0, result.output
     page = (tmp_path / "report.html").read_text()
     assert "Which limit fails first" in page
     assert "force on base_rotation_" in page
-    assert (
-        CliRunner()
-        .invoke(campaign, ["rerun", str(database), "--case", "1", "--out", str(tmp_path / "r")])
-        .exit_code
-        == 0
-    )
+    assert invoke("rerun", database, "--case", 1, "--out", tmp_path / "r").exit_code == 0
 
 
 # In three seconds the plan takes most, in thirty the answer to the wrong velocity at the start.

@@ -10,7 +10,7 @@ from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import CampaignError, FfsmError
 from ffsm_drake.plugins.campaign.cases import make_cases, with_controller
-from ffsm_drake.plugins.campaign.evaluate import Batch, Evaluator
+from ffsm_drake.plugins.campaign.evaluate import Evaluator
 from ffsm_drake.plugins.campaign.plan import plan_text, status_text
 from ffsm_drake.plugins.campaign.prediction import predict_many
 from ffsm_drake.plugins.campaign.run import repeat_run, resume_campaign, start_campaign
@@ -136,7 +136,7 @@ def test_without_llvmlite_drake_runs_with_a_line_that_says_so(tmp_path, monkeypa
 
 def test_a_worker_without_the_engine_reports_it_in_each_row(tmp_path):
     spec = load_spec(write_spec(tmp_path / "s.yaml", engine="elsewhere", cases=2))
-    rows = Evaluator(spec).evaluate_batch(Batch(tuple((case, "tdc") for case in make_cases(spec))))
+    rows = Evaluator(spec).evaluate_batch(tuple((case, "tdc") for case in make_cases(spec)))
     assert [row["outcome"] for row in rows] == ["error"] * 2
     assert all("'elsewhere' is unknown" in row["message"] for row in rows)
 

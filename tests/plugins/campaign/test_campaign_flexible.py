@@ -2,11 +2,8 @@
 column.
 """
 
-import contextlib
-import sqlite3
-
 import pytest
-from campaign_tools import run_here, write_spec
+from campaign_tools import run_here, sql, write_spec
 
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.plugins.campaign.cases import make_cases, scenario_of
@@ -50,10 +47,7 @@ def test_deflections_are_columns(tmp_path):
     columns = (
         "random_seed, peak_deflection_angle, residual_angle, predicted_radius_starting, frequency"
     )
-    with contextlib.closing(sqlite3.connect(database)) as connection:
-        rows = connection.execute(
-            f'SELECT {columns}, "{PANELS[0]}.mass" FROM runs ORDER BY case_index'
-        ).fetchall()
+    rows = sql(database, f'SELECT {columns}, "{PANELS[0]}.mass" FROM runs ORDER BY case_index')
     assert len({row[1] for row in rows}) == 3
     seed, peak, residual, radius, frequency, mass = rows[0]
     values = [f"{panel}.frequency={frequency!r}" for panel in PANELS]

@@ -6,13 +6,11 @@ import re
 
 import pytest
 import yaml
-from campaign_tools import run_here
-from click.testing import CliRunner
+from campaign_tools import invoke, run_here
 
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.common.errors import CampaignError
 from ffsm_drake.plugins.campaign.cases import make_cases, scenario_of
-from ffsm_drake.plugins.campaign.command import campaign
 from ffsm_drake.plugins.campaign.spec import load_spec, shipped_campaigns
 from ffsm_drake.plugins.campaign.statistics import find
 from ffsm_drake.plugins.campaign.store import open_store
@@ -84,7 +82,7 @@ def test_a_grid_takes_lists_only(tmp_path):
 
 @pytest.mark.slow
 def test_the_plan_shows_the_names_of_values(tmp_path):
-    result = CliRunner().invoke(campaign, ["plan", str(short(tmp_path / "noise.yaml"))])
+    result = invoke("plan", short(tmp_path / "noise.yaml"))
     assert result.exit_code == 0, result.output
     (line,) = (line for line in result.output.splitlines() if line.startswith("controllers "))
     assert line.split()[1:] == ["published", "published", "moderate", "moderate", "published"]
@@ -133,7 +131,7 @@ def test_the_kalman_estimate_is_cheaper_and_takes_its_gains_to_be_so(points, con
 
 
 def test_the_page_shows_every_point(database, tmp_path):
-    result = CliRunner().invoke(campaign, ["report", str(database), "--out", str(tmp_path)])
+    result = invoke("report", database, "--out", tmp_path)
     assert result.exit_code == 0, result.output
     page = (tmp_path / "report.html").read_text()
     section = page[page.index("<h2>Over the grid</h2>") :]

@@ -2,26 +2,22 @@
 it.
 """
 
-import contextlib
-import html.parser
 import json
 import math
 import re
 import shlex
 import shutil
-import sqlite3
 import time
 
 import numpy as np
 import pytest
-from campaign_tools import run_here, write_spec
-from click.testing import CliRunner
+from campaign_tools import invoke, run_here, sql, write_spec
+from opened_page import OpenedPage
 from scipy import stats
 from steps_seen import steps_seen
 
 from ffsm_drake.common.errors import CampaignError
 from ffsm_drake.plugins.campaign import prediction
-from ffsm_drake.plugins.campaign.command import campaign
 from ffsm_drake.plugins.campaign.evaluate import METRICS, PREDICTIONS
 from ffsm_drake.plugins.campaign.page import write_report
 from ffsm_drake.plugins.campaign.plan import plan_text, status_text
@@ -200,8 +196,6 @@ def test_the_predicted_boundary_agrees_with_the_outcomes(database):
 
 @pytest.mark.slow
 def test_the_map_wants_two_sampled_numbers(database):
-    from ffsm_drake.common.errors import CampaignError
-
     with (
         open_store(database) as store,
         pytest.raises(CampaignError, match="'sample_time' is not a sampled number"),
@@ -348,8 +342,7 @@ def test_a_report_while_the_campaign_runs(database, tmp_path):
     with open_store(path, writing=True), open_store(path) as store:
         with store.snapshot():
             before = store.num_results()
-            with contextlib.closing(sqlite3.connect(path)) as other, other:
-                other.execute("DELETE FROM results WHERE case_index > 3")
+            sql(path, "DELETE FROM results WHERE case_index > 3")
             assert store.num_results() == before
         assert store.num_results() < before
         written = write_report(store, tmp_path / "page")
@@ -359,46 +352,17 @@ def test_a_report_while_the_campaign_runs(database, tmp_path):
     assert written.files[0].exists()
 
 
-class Reader(html.parser.HTMLParser):
-    def __init__(self):
-        super().__init__()
-        self.outside, self.figures = [], []
-
-    def handle_starttag(self, tag, attributes):
-        attributes = dict(attributes)
-        if "data-figure" in attributes:
-            self.figures.append(attributes["data-figure"])
-        self.outside += [
-            value
-            for name, value in attributes.items()
-            if name in ("src", "href") and value[:5] != "data:"
-        ]
-
-
 def test_the_report_is_one_page_that_needs_nothing_else(database, tmp_path, monkeypatch):
     monkeypatch.setattr("ffsm_drake.plugins.campaign.prediction.POINTS", 2)
-    result = CliRunner().invoke(
-        campaign,
-        [
-            "report",
-            str(database),
-            "--out",
-            str(tmp_path),
-            "--map",
-            "nominal_error",
-            "payload.truth.mass",
-            "--table",
-            str(tmp_path / "table.tex"),
-        ],
-    )
+    words = f"report {database} --out {tmp_path} --map nominal_error payload.truth.mass"
+    result = invoke(*words.split(), "--table", tmp_path / "table.tex")
     assert result.exit_code == 0, result.output
     table = (tmp_path / "table.tex").read_text()
     assert "TDC & $12$ & $83.3$ & $51.6$ & $97.9$" in table
     assert re.search(r"predicted unstable +\d+ +[1-9]", result.output)
     page = (tmp_path / "report.html").read_text()
-    reader = Reader()
-    reader.feed(page)
-    assert reader.outside == []
+    opened = OpenedPage(page)
+    assert opened.addresses == []
     assert "with &lt;angle&gt; brackets &amp; &lt;/script&gt;" in page
     figures = json.loads(re.search(r'id="figures">(.*?)</script>', page)[1])["figures"]
     assert {key.split("-")[0] for key in figures} == {
@@ -408,7 +372,8 @@ def test_the_report_is_one_page_that_needs_nothing_else(database, tmp_path, monk
         "map",
     }
     assert "No sampled value explains more of it than chance would" in page  # in 12 cases
-    assert set(reader.figures) == set(figures)
+    shown = {given.get("data-figure") for _, given in opened.elements} - {None}
+    assert shown == set(figures)
     assert all(figure["data"] for figure in figures.values())
     assert len(re.findall(r"plotly\.js v\d", page)) == 1
     assert (tmp_path / "runs.csv").read_text().count("\n") == 25
@@ -460,14 +425,10 @@ def test_every_step_that_takes_time_has_a_name(tmp_path):
 
 
 def test_a_report_of_nothing(database, tmp_path):
-    import contextlib
-    import sqlite3
-
     path = tmp_path / "empty.db"
     path.write_bytes(database.read_bytes())
-    with contextlib.closing(sqlite3.connect(path)) as connection, connection:
-        connection.execute("DELETE FROM results")
-    result = CliRunner().invoke(campaign, ["report", str(path)])
+    sql(path, "DELETE FROM results")
+    result = invoke("report", path)
     assert result.exit_code == 2
     assert "holds no result yet; wait for the first runs" in result.output
     assert f"'ffsm campaign resume {path}'" in result.output

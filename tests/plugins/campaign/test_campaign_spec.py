@@ -6,17 +6,16 @@ import os
 import statistics
 import sys
 
+import numpy as np
 import pytest
 import yaml
-from campaign_tools import SMALL, write_spec
+from campaign_tools import SMALL, invoke, write_spec
 from children import finished
-from click.testing import CliRunner
 from scipy.stats import kstest
 
 from ffsm_drake import Scenario, load_scenario
 from ffsm_drake.common.errors import CampaignError
 from ffsm_drake.plugins.campaign.cases import make_cases, scenario_of
-from ffsm_drake.plugins.campaign.command import campaign
 from ffsm_drake.plugins.campaign.dispersion import (
     case_seed,
     parse_distribution,
@@ -30,6 +29,7 @@ from ffsm_drake.plugins.campaign.spec import (
     shipped_campaigns,
     spec_from_json,
 )
+from ffsm_drake.runs.tracking import Tracked
 from ffsm_drake.systems.controllers import PAPER_LAWS
 
 
@@ -43,8 +43,6 @@ BAD = {
     "unknown controller": ({"controllers": ["pid"]}, "'pid' is unknown"),
     "controller twice": ({"controllers": ["tdc", "tdc"]}, "each once"),
     "no cases": ({"cases": 0}, "cases: must be from 1 to 1000000, not 0"),
-    "half a case": ({"cases": 2.5}, "cases: must be a whole number"),
-    "unknown sampling": ({"sampling": "halton"}, "'halton' is unknown"),
     "no parameters": ({"parameters": {}, "factors": {}, "derive": {}}, "at least one"),
     "unknown distribution": (
         changed("parameters", sample_time={"distribution": "gamma", "low": 1, "high": 2}),
@@ -53,12 +51,6 @@ BAD = {
     "low above high": (
         changed("parameters", sample_time={"distribution": "uniform", "low": 2, "high": 1}),
         "parameters.sample_time: low must be below high",
-    ),
-    "not a number": (
-        changed(
-            "parameters", sample_time={"distribution": "uniform", "low": float("nan"), "high": 1}
-        ),
-        "must be finite, not nan",
     ),
     "log of zero": (
         changed("parameters", sample_time={"distribution": "log_uniform", "low": 0, "high": 1}),
@@ -145,11 +137,6 @@ BAD = {
         {"cases": 10**400},
         "cases: must be from 1 to 1000000, not a number",
     ),
-    "400 digits as text": ({"cases": "1" + 400 * "0"}, "cases: must be a whole number, not '1000"),
-    "a bound of 400 digits": (
-        changed("parameters", duration={"distribution": "uniform", "low": 0, "high": 10**400}),
-        "parameters.duration.high: must be finite",
-    ),
     "beyond 64 bits in a list": (
         changed(
             "parameters",
@@ -157,7 +144,6 @@ BAD = {
         ),
         "values.9223372036854775808: a whole number must fit into 64 bits",
     ),
-    "too many cases": ({"cases": 1e15}, "cases: must be from 1 to 1000000, not 1e+15"),
     "too many numbers": (
         {
             "cases": 1_000_000,
@@ -169,15 +155,6 @@ BAD = {
             },
         },
         "more than 20000000 numbers",
-    ),
-    "a seed that no number is": ({"seed": 1e300}, "seed: must be from 0 to 9.007199255e+15, not "),
-    "a range beyond numbers": (
-        changed("parameters", duration={"distribution": "uniform", "low": -1e308, "high": 1e308}),
-        "parameters.duration.low: must be at most 1e+20 in size",
-    ),
-    "a factor beyond numbers": (
-        changed("derive", duration={"rule": "scale", "of": "payload.truth.mass", "by": 1e308}),
-        "derive.duration.by: must be at most 1e+20 in size",
     ),
     "a product beyond numbers": (
         {
@@ -219,8 +196,6 @@ BAD = {
         {"scenario": datetime.date(2024, 1, 1)},
         "2024-01-01",  # text, as all that YAML's core schema does not name
     ),
-    "a long text": ({"cases": 5000 * "x"}, "cases: must be a whole number, not 'xxx"),
-    "a long name": ({"sampling": 5000 * "x"}, "is unknown; choose one of"),
     "no prediction": ({"predictions": "no"}, "predictions: must be true or false, not 'no'"),
     "no time": ({"time_limit": 0}, "time_limit: must be > 0, at most 1000000 s, not 0"),
 }
@@ -230,7 +205,7 @@ BAD = {
 def test_a_bad_specification_is_one_line(name, tmp_path):
     changes, said = BAD[name]
     spec = write_spec(tmp_path / "bad.yaml", **changes)
-    result = CliRunner().invoke(campaign, ["run", str(spec), "--database", str(tmp_path / "x.db")])
+    result = invoke("run", spec, "--database", tmp_path / "x.db")
     assert result.exit_code == 2, result.output
     assert said in result.output
     assert result.output.count("\n") == 1
@@ -249,27 +224,17 @@ def test_a_bad_specification_is_one_line(name, tmp_path):
         ("[" * 2000, "nested deeper"),
         ("a: 2024-13-45", "a: unknown key; valid here: "),
         ('description: "\\ud800"', "must be text that a file can hold"),
+        (None, "no such campaign; choose one of flexible_panels"),
     ],
 )
 def test_a_file_that_is_no_specification(text, said, tmp_path):
-    (tmp_path / "bad.yaml").write_text(text)
-    result = CliRunner().invoke(campaign, ["plan", str(tmp_path / "bad.yaml")])
+    """Without a text: a file without end, which is not opened."""
+    path = tmp_path / "bad.yaml"
+    os.mkfifo(path) if text is None else path.write_text(text)
+    result = invoke("plan", path)
     assert result.exit_code == 2
     assert said in result.output
     assert result.output.count("\n") == 1
-
-
-def test_a_file_without_end_is_not_opened(tmp_path):
-    os.mkfifo(tmp_path / "pipe.yaml")
-    result = CliRunner().invoke(campaign, ["plan", str(tmp_path / "pipe.yaml")])
-    assert result.exit_code == 2
-    assert "no such campaign" in result.output
-
-
-def test_a_missing_file():
-    result = CliRunner().invoke(campaign, ["plan", "nothing"])
-    assert result.exit_code == 2
-    assert "no such campaign; choose one of flexible_panels" in result.output
 
 
 @pytest.mark.parametrize("sampling", ["latin_hypercube", "sobol", "random"])
@@ -366,8 +331,6 @@ def test_the_shipped_campaign():
 
 
 def test_the_shipped_tumble():
-    import numpy as np
-
     cases = list(make_cases(load_spec("tumble")))
     masses, rates, offsets = (
         np.array([case.values[name] for case in cases])
@@ -395,38 +358,37 @@ def test_set_value_reaches_lists_and_absent_mappings():
         set_value(data, "a.1.x", 0)
 
 
+def settled(scenario=None, **given):
+    return Settled(**given).completed(scenario or Scenario())
+
+
 @pytest.mark.smoke
-def test_settled_means_until_the_end():
-    import numpy as np
-
-    from ffsm_drake.runs.tracking import Tracked
-
-    def tracked(error):
-        return Tracked(error=error, names=groups, groups=groups, units=units)
-
-    def settled(scenario=None, **given):
-        return Settled(**given).completed(scenario or Scenario())
-
-    criterion = settled(tolerance={"joints": 0.1, "base_position": 1.0})
+@pytest.mark.parametrize("seed", range(40))
+def test_settled_means_until_the_end(seed):
+    """Random errors and rates, evaluated sample by sample; a sample without a number is outside."""
+    random = np.random.default_rng(seed)
     time = np.arange(0.0, 10.5, 0.5)
-    groups, units = ("base_position", "joints"), ("m", "rad")
-    error, still = np.zeros((time.size, 2)), np.zeros((time.size, 2))
-    assert criterion.time(time, tracked(error), velocity=still) == 0.0
-    error[:, 0] = 0.5
-    error[time < 6.0, 1] = 0.2
-    assert criterion.time(time, tracked(error), velocity=still) == 6.0
-    error[time == 8.0, 1] = -0.2
-    assert criterion.time(time, tracked(error), velocity=still) is None
-    assert settled(hold=0.0).time(time, tracked(error * 0.0), velocity=still) == 0.0
-    moving = np.where(time < 7.0, 0.1, 0.01)[:, None] * [0.0, -1.0]
-    at_rest = settled(rest=0.05)
-    assert at_rest.time(time, tracked(0.0 * error), velocity=moving) == 7.0
-    assert at_rest.time(time, tracked(0.0 * error), velocity=10.0 * moving) is None
+    bound, rest = {"joints": 0.1, "base_position": 1.0}, random.choice([None, 0.05])
+    groups = ("base_position", "joints")
+    error = random.choice([0.5, 0.999, 1.001], (time.size, 2), p=[0.5, 0.4, 0.1]) * [1.0, 0.1]
+    error[random.random(error.shape) < 0.02] = np.nan
+    velocity = random.choice([0.04, -0.06], (time.size, 2), p=[0.9, 0.1])
+    hold = random.choice([0.0, 2.0])
+    error[time > 10.0 - random.integers(0, 5)] = velocity[time > 10.0 - random.integers(0, 8)] = 0.0
+    good = [
+        all(abs(x) <= bound[group] for group, x in zip(groups, errors, strict=True))
+        and (rest is None or max(abs(rates)) <= rest)
+        for errors, rates in zip(error, velocity, strict=True)
+    ]
+    since = [t for k, t in enumerate(time) if all(good[k:]) and t <= 10.0 - hold]
+    tracked = Tracked(error=error, names=groups, groups=groups, units=("m", "rad"))
+    criterion = settled(hold=hold, tolerance=bound, rest=rest)
+    assert criterion.time(time, tracked, velocity=velocity) == (since[0] if since else None)
+
+
+def test_tolerances_are_those_of_the_scenario():
     own = settled(load_scenario("slow_navigation"), tolerance={"joints": 0.1}).tolerance
     assert own == {"base_rotation": 1e-3, "base_position": 5e-3, "joints": 0.1}
-    error[time == 8.0, 1] = 0.0
-    error[-1, 0] = np.nan
-    assert criterion.time(time, tracked(error), velocity=still) is None
 
 
 def test_help_needs_no_drake():

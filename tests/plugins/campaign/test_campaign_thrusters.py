@@ -2,12 +2,10 @@
 column.
 """
 
-import contextlib
 import json
-import sqlite3
 
 import pytest
-from campaign_tools import forked, run_here, write_spec
+from campaign_tools import forked, run_here, sql, write_spec
 
 from ffsm_drake import load_scenario, simulate
 
@@ -33,24 +31,17 @@ USED = (
     "propellant", "thruster_impulse", "thruster_pulses", "thrusters_saturated",
     "wheel_speed_used", "wheel_torque_used", "wheels_torque_limited", "wheels_unloading",
 )  # fmt: skip
-COLUMNS = (
-    f"case_index, random_seed, outcome, message, itae, {', '.join(USED)}, "
-    '"disturbance.amplitude_scale", "actuation.thrusters"'
+SELECT = (
+    f"SELECT case_index, random_seed, outcome, message, itae, {', '.join(USED)}, "
+    '"disturbance.amplitude_scale", "actuation.thrusters" FROM runs ORDER BY 1'
 )
-
-
-def rows_of(database):
-    with contextlib.closing(sqlite3.connect(database)) as connection:
-        return connection.execute(
-            f"SELECT {COLUMNS} FROM results JOIN cases USING (case_index) ORDER BY case_index"
-        ).fetchall()
 
 
 @pytest.mark.long
 def test_layouts_and_failures(tmp_path):
     spec = write_spec(tmp_path / "spec.yaml", **CHANGES)
     one, two = (
-        rows_of(run_here(spec, tmp_path / f"{n}.sqlite", workers=forked(n, in_flight=n)))
+        sql(run_here(spec, tmp_path / f"{n}.sqlite", workers=forked(n, in_flight=n)), SELECT)
         for n in (1, 2)
     )
     assert two == one

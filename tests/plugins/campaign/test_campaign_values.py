@@ -11,7 +11,6 @@ from ffsm_drake.plugins.campaign.cases import Case, scenario_of
 from ffsm_drake.plugins.campaign.evaluate import (
     METRICS,
     PREDICTIONS,
-    Batch,
     Evaluator,
     differing_columns,
     evaluate,
@@ -110,7 +109,7 @@ def test_initial_velocity_is_the_state_at_the_start(spec):
 
 
 def evaluate_alone(spec, case):
-    (row,) = evaluate(spec.to_json(), Batch(((case, "tdc"),)))
+    (row,) = evaluate(spec.to_json(), ((case, "tdc"),))
     return row
 
 
