@@ -280,7 +280,7 @@ class BaseActuators(Sampled):
         names = ("owed", *thrusters.initial_memory())
         before = {"begins": begins, **{name: memory[name] for name in names}}
         after = dict(repeated(allocated, before, {"asked": asked, "rotation": rotation}, most=1))
-        owed = after.pop("owed")
+        owed, _ = after.pop("owed"), after.pop("begins")
         firing, kept = thrusters.fire(after)
         if thrusters.carries_over:
             left = asked - firing.wrench.reshape(asked.shape)

@@ -110,9 +110,8 @@ def test_assisted_wheels_are_enough(with_wheels):
 def test_the_share_of_saturated_samples(with_wheels):
     scenario = dataclasses.replace(with_wheels(1.0), controller="tdc", duration=8.0)
     figures = simulate(scenario, check_stability=False).metrics["wheels"]
-    assert rehearse(scenario, seeds=3).saturated["wheels"].mean() == pytest.approx(
-        figures["torque_limited"], rel=0.3
-    )
+    found = rehearse(scenario, seeds=3, on_drake=False)  # thrusters and wheels are compiled
+    assert found.saturated["wheels"].mean() == pytest.approx(figures["torque_limited"], rel=0.3)
 
 
 def drawn(seed):
