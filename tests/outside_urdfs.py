@@ -275,3 +275,31 @@ def simple_arm(*more, **limits):
 
 
 OUTSIDE = {f.__name__: f for f in (six_joints, prismatic, gripper, two_armed, seven_joints)}
+
+
+def two_hands(axes, *, other=None, torso=False, reach=1.6):
+    """Two arms at the sides of a bus, joints about the given axes, with a torso in between."""
+    limit = 'lower="-2.6" upper="2.6" effort="60" velocity="1"'
+    parts, root = [link("bus", mass=200, inertia=(40, 40, 40))], "bus"
+    if torso:
+        parts += [
+            link("torso", mass=10, inertia=(1, 1, 1)),
+            joint("waist", "bus", "torso", axis="0 0 1", xyz="0 0 0.4", limit=limit),
+        ]
+        root = "torso"
+    along = "0 {0} 0" if set(axes) <= {"z"} else "0 0 {0}"
+    for side, given in (("left", axes), ("right", other or axes)):
+        parent, at = root, f"{-0.5 if side == 'left' else 0.5} 0 0.3"
+        for k, axis in enumerate(given):
+            name, length = f"{side}_{k + 1}", reach / len(given)
+            turned = " ".join("1" if axis == each else "0" for each in "xyz")
+            parts += [
+                link(name, mass=2, inertia=(0.02, 0.02, 0.02)),
+                joint(f"{name}_joint", parent, name, axis=turned, xyz=at, limit=limit),
+            ]
+            parent, at = name, along.format(length)
+        parts += [
+            link(f"{side}_hand"),
+            joint(f"{side}_palm", parent, f"{side}_hand", kind="fixed", xyz=at),
+        ]
+    return robot(*parts)

@@ -3,13 +3,12 @@
 import dataclasses
 import itertools
 import re
+import types
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 from outside_urdfs import TURN, joint, link, robot
 
 from ffsm_drake.cli import main
@@ -17,10 +16,11 @@ from ffsm_drake.common.errors import ModelError, ScenarioError
 from ffsm_drake.plugins.new import first_mission
 from ffsm_drake.plugins.new.asked import Asked, WheelData
 from ffsm_drake.plugins.new.base_box import BaseBox
+from ffsm_drake.plugins.new.command import _target as parsed_target
 from ffsm_drake.plugins.new.first_scenario import NewScenario, new_scenario
 from ffsm_drake.plugins.new.urdf.mounting import make_bus
 from ffsm_drake.plugins.new.urdf.servicer import read_urdf
-from ffsm_drake.plugins.new.urdf.target import read_target
+from ffsm_drake.plugins.new.urdf.target import cube, read_target
 from ffsm_drake.plugins.new.urdf.writing import write_urdf
 from ffsm_drake.scenario import load_scenario, thruster_layouts
 from ffsm_drake.spacecraft.clearance import Clearance
@@ -110,21 +110,17 @@ def test_a_base_held_by_joints_becomes_free(
     assert any("not one of two axes" in each for each in told) == (parts is TILTED)
 
 
-@settings(max_examples=12, deadline=None)
-@given(
-    mass=st.floats(0.5, 2000.0),
-    parts=st.sampled_from([(), SLIDES, PLANAR, FLOATING]),
-    share=st.sampled_from([0.0, 0.1, 0.6, 0.9]),
-)
-def test_only_an_arm_is_mounted_on_a_bus(
-    tmp_path_factory: pytest.TempPathFactory, mass: float, parts: tuple[str, ...], share: float
-) -> None:
+@pytest.mark.parametrize("seed", range(12))
+def test_only_an_arm_is_mounted_on_a_bus(tmp_path: Path, seed: int) -> None:
     """A free base, also of links fixed to each other, is known by its mass."""
+    rng = np.random.default_rng(seed)
+    mass, share = rng.choice([4.0, 40.0, 2000.0]) * rng.uniform(0.3, 1.0), rng.choice([0.0, 0.6])
+    parts = [(), SLIDES, PLANAR, FLOATING][seed % 4]
     pieces = ((1.0 - share) * mass, share * mass)
     own, box = (link(name, mass=m, inertia=3 * (m,))
                 for name, m in zip(("bus", "box"), pieces, strict=True))  # fmt: skip
     more = (box, joint("screws", "bus", "box", kind="fixed")) if share else ()
-    file = written(tmp_path_factory.mktemp("mounted"), arm(*parts, *more, bus=own))
+    file = written(tmp_path, arm(*parts, *more, bus=own))
     if mass < 8.0 and not parts:  # the foot of an arm of 8 kg
         assert read_urdf(file, bus=make_bus(400.0)).base_mass == pytest.approx(400.0 + mass)
     elif mass >= 8.0:
@@ -260,29 +256,20 @@ def test_a_target_of_welded_links_is_one_body(tmp_path: Path) -> None:
     assert "no frame where it could be held" in str(error.value)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
-    ("word", "mass", "size"),
-    [(None, 50.0, 0.794), ("20", 20.0, 0.585), ("20kg", 20.0, 0.585), ("20kg,0.3m", 20.0, 0.3)],
-)
+    ("word", "reach", "mass", "size"),
+    [(None, 2.0, 50.0, 0.794), ("20", 2.0, 20.0, 0.585), ("20kg", 2.0, 20.0, 0.585),
+     ("20kg,0.3m", 2.0, 20.0, 0.3), (None, 0.2, 8.0, 0.2)],
+)  # fmt: skip
 def test_mass_and_size_of_the_target(
-    tmp_path: Path, word: str | None, mass: float, size: float
+    word: str | None, reach: float, mass: float, size: float
 ) -> None:
-    file = written(tmp_path, arm())
-    options = [] if word is None else ["--target", word]
-    words = ["new", str(tmp_path / "new"), "--urdf", str(file), *options]
-    result = CliRunner().invoke(main, words)
-    assert result.exit_code == 0, result.output
-    assert f"holds a target of {mass:g} kg, a cube of {size:g} m" in result.output
-    box = f'<box size="{" ".join(3 * [str(size)])}"'
-    assert box in (tmp_path / "new/target/cube.urdf").read_text()
-
-
-@pytest.mark.slow
-def test_a_target_is_no_longer_than_the_arm(tmp_path: Path) -> None:
-    new = made(tmp_path, arm(length=0.1))
-    assert new.side == 0.2
-    assert new.payload_mass == 8.0  # 1000 kg/m^3
+    """The last one is as long as the arm, with 1000 kg/m^3."""
+    given = parsed_target(word)[:2] if word else (None, None)
+    servicer = types.SimpleNamespace(base_mass=200.0, reach=reach)
+    found = cube(*given, servicer, share=0.25)  # type: ignore[arg-type]
+    assert (found.mass, found.side) == (mass, size)
+    assert found.root.find("link/visual/geometry/box").get("size") == " ".join(3 * [str(size)])  # type: ignore[union-attr]
 
 
 CROWDED = (
@@ -370,28 +357,21 @@ def test_long_names_stand_apart(tmp_path: Path) -> None:
     assert f"{long}  revolute" in made(tmp_path, text).summary()
 
 
-def test_stl_is_drawn(tmp_path: Path) -> None:
-    """Binary and text; the same corners become one."""
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=float)
-    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
-    record = np.zeros(4, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
-    record["corners"] = corners[faces]
-    binary = bytes(80) + (4).to_bytes(4, "little") + record.tobytes()
-    lines = [f"vertex {x} {y} {z}" for face in faces for x, y, z in corners[face]]
-    (tmp_path / "meshes").mkdir()
-    visual = '<visual><geometry><mesh filename="meshes/a.stl"/></geometry></visual>'
-    for content in (binary, ("solid a\n" + "\n".join(lines)).encode()):
-        (tmp_path / "meshes/a.stl").write_bytes(content)
-        file = written(tmp_path, arm(bus=link("bus", mass=200, extra=visual)))
-        remarks = write_urdf(read_urdf(file), tmp_path / "out", file_name="a.urdf", packages={})
-        assert not [each for each in remarks if "mesh" in each]
-        drawn = (tmp_path / "out/meshes/1/a.stl.obj").read_text().splitlines()
-        assert sorted(drawn[:4]) == ["v 0 0 0", "v 0 0 1", "v 0 1 0", "v 1 0 0"]
-        assert len(drawn) == 8
-    (tmp_path / "meshes/a.stl").write_text("solid nothing")
-    assert "of an undrawable format" in " ".join(
-        write_urdf(read_urdf(file), tmp_path / "out", file_name="a.urdf", packages={})
-    )
+def test_a_text_stl_is_drawn(tmp_path: Path) -> None:
+    """The same corners become one. test_picture_poses.py draws binary files."""
+    corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+    faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+    lines = ["vertex {} {} {}".format(*corners[k]) for face in faces for k in face]
+    visual = '<visual><geometry><mesh filename="a.stl"/></geometry></visual>'
+    file = written(tmp_path, arm(bus=link("bus", mass=200, extra=visual)))
+    remarks = list[str]()
+    for content in ("\n".join(lines), "nothing"):
+        (tmp_path / "a.stl").write_text(f"solid a\n{content}")
+        remarks += write_urdf(read_urdf(file), tmp_path / "out", file_name="a.urdf", packages={})
+    drawn = (tmp_path / "out/meshes/1/a.stl.obj").read_text().splitlines()
+    assert sorted(drawn[:4]) == ["v 0 0 0", "v 0 0 1", "v 0 1 0", "v 1 0 0"]
+    assert len(drawn) == 8
+    assert " ".join(remarks).count("of an undrawable format") == 1
 
 
 def box_at(middle: np.ndarray, sides: np.ndarray) -> str:
@@ -400,36 +380,18 @@ def box_at(middle: np.ndarray, sides: np.ndarray) -> str:
 
 
 @pytest.mark.slow
-@settings(max_examples=10, deadline=None)
-@example(
-    sides=np.array([0.7, 0.7, 0.8]),
-    middle=np.zeros(3),
-    density=300.0,
-    word="12x5N",
-    count=2,
-    covered=True,
-    drawn=True,
-)
-@given(
-    sides=st.tuples(*3 * [st.floats(0.3, 3.0)]).map(np.array),
-    middle=st.tuples(*3 * [st.floats(-0.3, 0.3)]).map(np.array),
-    density=st.floats(30.0, 400.0),
-    word=st.sampled_from(["12", "12x5N", "16", "16x22N"]),
-    count=st.integers(1, 4),
-    covered=st.booleans(),
-    drawn=st.booleans(),
-)
+@pytest.mark.parametrize("seed", range(10))
 def test_thrusters_and_panels_are_on_the_box_of_the_base(
-    tmp_path_factory: pytest.TempPathFactory,
-    sides: np.ndarray,
-    middle: np.ndarray,
-    density: float,
-    word: str,
-    count: int,
-    covered: bool,  # by its own panels, and a tank on top
-    drawn: bool,  # else by its inertia
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
     """A base of any size, place and mass: hardware is on its faces, or a line says on what."""
+    rng = np.random.default_rng(seed)
+    sides, middle = rng.uniform(0.3, 3.0, 3), rng.uniform(-0.3, 0.3, 3)
+    density, word = rng.uniform(30.0, 400.0), str(rng.choice(["12", "12x5N", "16", "16x22N"]))
+    count, covered, drawn = int(rng.integers(1, 5)), bool(rng.integers(2)), bool(rng.integers(2))
+    if seed == 0:  # covered by its own panels, and a tank on top
+        sides, middle, density = np.array([0.7, 0.7, 0.8]), np.zeros(3), 300.0
+        word, count, covered, drawn = "12x5N", 2, True, True
     mass, half, up = density * float(sides.prod()), 0.5 * sides, np.array([0.0, 0.0, 1.0])
     out = np.array([0.0, half[1] + 1.0, 0.0])
     own = [
@@ -447,17 +409,15 @@ def test_thrusters_and_panels_are_on_the_box_of_the_base(
         extra="".join(itertools.starmap(box_at, pictures)),
     )
     asked = Asked.parsed(thrusters=word, panels=f"{count}x{0.05 * mass:.6f}kg", driven="all")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(first_mission, "_SAMPLES", 4)
-        patch.setattr(first_mission.Draft, "_tune", lambda self: None)  # gains play no part
-        folder = tmp_path_factory.mktemp("boxed")
-        text = arm(bus=bus, length=4.0, on=middle[2] + half[2] + 0.6)
-        try:
-            new = made(folder, text, asked=asked)
-        except ModelError as error:  # of a small or flat base the shortest panels leave no body
-            if "make the parts lighter or shorter" not in str(error):
-                raise
-            return
+    monkeypatch.setattr(first_mission, "_SAMPLES", 4)
+    monkeypatch.setattr(first_mission.Draft, "_tune", lambda self: None)  # gains play no part
+    text = arm(bus=bus, length=4.0, on=middle[2] + half[2] + 0.6)
+    try:
+        new = made(tmp_path, text, asked=asked)
+    except ModelError as error:  # of a small or flat base the shortest panels leave no body
+        if "make the parts lighter or shorter" not in str(error):
+            raise
+        return
     slack = 0.02 * (sides.max() + np.abs(middle).max())
     units = list(new.scenario.actuation.thrusters.units.values())
     assert len(units) == int(word[:2])

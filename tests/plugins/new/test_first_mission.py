@@ -10,13 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from outside_urdfs import OUTSIDE, gripper, seven_joints, simple_arm, six_joints
+from outside_urdfs import OUTSIDE, simple_arm
 
 from ffsm_drake import load_scenario
-from ffsm_drake.cli import main
 from ffsm_drake.common.errors import FfsmError, ScenarioError
 from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.plugins.new.asked import Asked, WheelData
@@ -124,32 +122,26 @@ def test_everything_at_once_settles(tmp_path, name):
     assert scenario.sensing == load_scenario("flight_sensors").sensing
 
 
-def settle(folder, name, count):
-    """So many subsets of the options, drawn: each settles, or is refused in one line."""
+@pytest.mark.parametrize(
+    ("name", "count"),
+    [
+        *(pytest.param(name, 3, marks=pytest.mark.long) for name in ("servicer", "six_joints")),
+        *(pytest.param(name, 20, marks=pytest.mark.exhaustive) for name in SIX),
+    ],
+)
+def test_drawn_subsets_settle_or_say_why_not(tmp_path, name, count):
     draw = random.Random(name)
     for _ in range(count):
         words = {key: draw.choice(values) for key, values in CHOICES.items()}
         new = refusal = None
         try:
-            new = make(folder, name, words)
+            new = make(tmp_path, name, words)
         except FfsmError as error:
             refusal = str(error)
         if new is not None:
             assert_settles(new)
         else:
             assert len(refusal.splitlines()) == 1
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["servicer", "six_joints"])
-def test_subsets_settle_or_say_why_not(tmp_path, name):
-    settle(tmp_path, name, 3)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("name", SIX)
-def test_many_subsets_settle_or_say_why_not(tmp_path, name):
-    settle(tmp_path, name, 20)
 
 
 @pytest.mark.long
@@ -239,28 +231,6 @@ def test_any_text_is_a_value_or_one_line(name, word):
         refusal = str(error)
     assert refusal == "" or refusal.startswith(f"--{name}: ")
     assert len(refusal.splitlines()) <= 1
-
-
-def test_what_cannot_act_is_refused(tmp_path):
-    for words, told in (
-        ({"thrusters": "12x5N", "driven": "joints"}, "--thrusters: cannot act with --driven"),
-        ({"wheels": "4", "driven": "joints"}, "--wheels: cannot act with --driven joints"),
-    ):
-        with pytest.raises(ScenarioError, match=told):
-            Asked.parsed(**words)
-    urdf = tmp_path / "light.urdf"
-    urdf.write_text(gripper())
-    arguments = ["new", str(tmp_path / "x"), "--urdf", str(urdf), "--panels", "2x20kg"]
-    result = CliRunner().invoke(main, arguments)
-    assert result.exit_code == 2
-    assert "--panels: 2 of 20 kg must be less than half of the base's 60 kg" in result.output
-    assert len(result.output.splitlines()) == 1
-    assert not (tmp_path / "x").exists()
-
-
-def test_generated_arms_have_six_and_seven_joints():
-    assert six_joints().count('type="revolute"') == 6
-    assert seven_joints().count('type="revolute"') == 7
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -199,31 +199,6 @@ def test_one_message_names_every_missing_argument(tmp_path: Path) -> None:
         assert ("name 'nothing' is not defined" in told) == undefined, told
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ('<xacro:arg name="a" default="1"/>${b}', "cannot be expanded: name 'b' is not defined"),
-        (
-            '<link name="$(arg b)"/>',
-            "1 argument missing, without a default: give --xacro-arg b=...",
-        ),
-        ('<xacro:include filename="none.xacro"/>', "cannot be expanded: No such file"),
-    ],
-)
-def test_what_xacro_cannot_expand_is_one_line(text: str, told: str, tmp_path: Path) -> None:
-    file = tmp_path / "craft.xacro"
-    file.write_text(f'<robot name="c" xmlns:xacro="http://www.ros.org/wiki/xacro">{text}</robot>')
-    with pytest.raises(ModelError) as error:
-        read_urdf(file)
-    assert told in str(error.value)
-
-
-def test_arguments_for_another_format_are_refused(tmp_path: Path) -> None:
-    (tmp_path / "craft.sdf").write_text(sdf())
-    with pytest.raises(ModelError, match="--xacro-arg is for xacro files"):
-        read_urdf(tmp_path / "craft.sdf", arguments={"a": "1"})
-
-
 def test_a_target_in_mjcf(tmp_path: Path) -> None:
     file = tmp_path / "client.xml"
     file.write_text(

@@ -1,56 +1,27 @@
 """Crafts whose two arms hold the target together."""
 
-import itertools
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from outside_urdfs import joint, link, robot
+from outside_urdfs import link, robot, two_hands
 
 from ffsm_drake import simulate
 from ffsm_drake.cli import main
-from ffsm_drake.common.errors import FfsmError, ModelError, ScenarioError
+from ffsm_drake.common.errors import FfsmError, ModelError
 from ffsm_drake.plugins.new import hands
 from ffsm_drake.plugins.new.asked import Asked
 from ffsm_drake.plugins.new.first_scenario import NewScenario, new_scenario
 from ffsm_drake.scenario import load_scenario
 
-RANGE = 'lower="-2.6" upper="2.6" effort="60" velocity="1"'
 SPATIAL = "zyyxyx"  # axes of an arm's joints
 BOX = robot(
     link("box", mass=30, inertia=(1, 1, 1)),
     '<frame name="grasp" link="box" xyz="-0.2 0 0" rpy="0 1.5707963 0"/>',
     '<frame name="grasp_2" link="box" xyz="0.2 0 0" rpy="0 -1.5707963 0"/>',
 )
-
-
-def craft(axes: str, *, other: str | None = None, torso: bool = False, reach: float = 1.6) -> str:
-    """Two arms at the sides of a bus, joints about the given axes, with a torso in between."""
-    parts, root = [link("bus", mass=200, inertia=(40, 40, 40))], "bus"
-    if torso:
-        parts += [
-            link("torso", mass=10, inertia=(1, 1, 1)),
-            joint("waist", "bus", "torso", axis="0 0 1", xyz="0 0 0.4", limit=RANGE),
-        ]
-        root = "torso"
-    along = "0 {0} 0" if set(axes) <= {"z"} else "0 0 {0}"
-    for side, given in (("left", axes), ("right", other or axes)):
-        parent, at = root, f"{-0.5 if side == 'left' else 0.5} 0 0.3"
-        for k, axis in enumerate(given):
-            name, length = f"{side}_{k + 1}", reach / len(given)
-            turned = " ".join("1" if axis == each else "0" for each in "xyz")
-            parts += [
-                link(name, mass=2, inertia=(0.02, 0.02, 0.02)),
-                joint(f"{name}_joint", parent, name, axis=turned, xyz=at, limit=RANGE),
-            ]
-            parent, at = name, along.format(length)
-        parts += [
-            link(f"{side}_hand"),
-            joint(f"{side}_palm", parent, f"{side}_hand", kind="fixed", xyz=at),
-        ]
-    return robot(*parts)
 
 
 def made(folder: Path, text: str, *hands: str, **options: object) -> NewScenario:
@@ -74,7 +45,7 @@ def settles(new: NewScenario) -> bool:
 
 @pytest.mark.long
 def test_a_planar_craft_with_two_arms_settles(tmp_path: Path) -> None:
-    new = made(tmp_path, craft("zzz"))
+    new = made(tmp_path, two_hands("zzz"))
     assert settles(new)
     assert [each.effector for each in new.scenario.contacts.values()] == [
         "servicer::left_hand",
@@ -87,47 +58,15 @@ def test_a_planar_craft_with_two_arms_settles(tmp_path: Path) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize(("axes", "torso"), [("zyyxyxz", False), (SPATIAL, True), (SPATIAL, False)])
 def test_arms_of_other_kinds_settle(tmp_path: Path, axes: str, torso: bool) -> None:
-    assert settles(made(tmp_path, craft(axes, torso=torso)))
+    assert settles(made(tmp_path, two_hands(axes, torso=torso)))
 
 
 @pytest.mark.long
 def test_a_target_from_a_file_is_held_at_its_two_frames(tmp_path: Path) -> None:
     (tmp_path / "box.urdf").write_text(BOX)
-    new = made(tmp_path, craft(SPATIAL), target=tmp_path / "box.urdf")
+    new = made(tmp_path, two_hands(SPATIAL), target=tmp_path / "box.urdf")
     assert new.scenario.contacts["second"].frame == "debris::grasp_2"
     assert settles(new)
-
-
-def test_a_target_with_one_frame(tmp_path: Path) -> None:
-    frame = '<frame name="grasp" link="box" xyz="-0.2 0 0" rpy="0 1.57 0"/>'
-    (tmp_path / "box.urdf").write_text(robot(link("box", mass=30, inertia=(1, 1, 1)), frame))
-    with pytest.raises(FfsmError, match="two hands need another, 'grasp_2'"):
-        made(tmp_path, craft(SPATIAL), target=tmp_path / "box.urdf")
-
-
-ONE_ARM = ["left_hand", *(f"left_{k}" for k in range(1, 7))]
-
-
-@pytest.mark.parametrize("pair", list(itertools.permutations(ONE_ARM[::3], 2)))
-def test_two_tips_on_one_arm(tmp_path: Path, pair: tuple[str, str]) -> None:
-    with pytest.raises(ModelError, match="are on one arm"):
-        made(tmp_path, craft(SPATIAL), *pair)
-
-
-@pytest.mark.parametrize(
-    ("tips", "told"),
-    [
-        (("left_hand", "left_hand"), "both tips are 'left_hand'"),
-        (("left_hand", "nose"), "no link or frame 'nose' for the tip"),
-        (("bus", "left_hand"), "tip 'bus' does not move"),
-        (("left_hand", ""), "must be the frames of two hands"),
-        (("left_hand", "right_hand", "nose"), "must be the frames of two hands"),
-    ],
-)
-def test_unusable_tips(tmp_path: Path, tips: tuple[str, ...], told: str) -> None:
-    with pytest.raises(FfsmError, match=told) as error:
-        made(tmp_path, craft(SPATIAL), *tips)
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -137,7 +76,7 @@ def test_an_arm_with_too_few_joints_of_its_own(tmp_path: Path, seed: int) -> Non
     axes = "zz" if seed == 0 else "".join(rng.choice(list("xyz"), rng.integers(3, 6)))
     longer = "zzz" if seed == 0 else SPATIAL
     arms = (longer, axes) if seed % 2 else (axes, longer)
-    text = craft(arms[0], other=arms[1], torso=seed > 2)
+    text = two_hands(arms[0], other=arms[1], torso=seed > 2)
     short = "right_hand" if seed % 2 else "left_hand"
     with pytest.raises(FfsmError, match=f"--tips: the arm of '{short}' has {len(axes)} joints"):
         made(tmp_path, text)
@@ -145,7 +84,7 @@ def test_an_arm_with_too_few_joints_of_its_own(tmp_path: Path, seed: int) -> Non
 
 @pytest.mark.slow
 def test_hands_that_cannot_both_reach(tmp_path: Path) -> None:
-    (tmp_path / "craft.urdf").write_text(craft(SPATIAL, reach=0.4))
+    (tmp_path / "craft.urdf").write_text(two_hands(SPATIAL, reach=0.4))
     result = CliRunner().invoke(
         main,
         f"new {tmp_path}/made --urdf {tmp_path}/craft.urdf --tips left_hand,right_hand "
@@ -182,7 +121,7 @@ def test_the_search_for_hands_that_hardly_reach_is_short(
 
     monkeypatch.setattr(np.linalg, "lstsq", count)
     rng = np.random.default_rng(seed)
-    text = craft(SPATIAL + "".join(rng.choice(list("xyz"), rng.integers(0, 4))))
+    text = two_hands(SPATIAL + "".join(rng.choice(list("xyz"), rng.integers(0, 4))))
     narrow = re.sub(
         r'(name="right_[4-9]_joint".*?lower="-)2.6(" upper=")2.6', r"\g<1>0.2\g<2>0.2", text
     )
@@ -192,18 +131,3 @@ def test_the_search_for_hands_that_hardly_reach_is_short(
     assert "or another place of 'grasp_2'" in str(error.value)
     assert ("none of 300 " in str(error.value)) == (most > 15_000)
     assert min(most / 2, 1_000) < solved[0] < min(most + 450, 15_000)
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [({"driven": "joints"}, "--tips: needs all coordinates driven"), ({}, "--tips are two")],
-)
-def test_what_two_hands_cannot_have(tmp_path: Path, words: dict[str, str], told: str) -> None:
-    (tmp_path / "craft.urdf").write_text(craft(SPATIAL))
-    with pytest.raises(ScenarioError, match=told):
-        new_scenario(
-            tmp_path / "craft.urdf",
-            tmp_path / "made",
-            tip=None if words else "left_hand",
-            asked=Asked.parsed(tips="left_hand,right_hand", **words),
-        )

@@ -8,7 +8,6 @@ import itertools
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +15,7 @@ from click.testing import CliRunner
 from scipy.optimize import lsq_linear
 from scipy.spatial.transform import Rotation
 
-import ffsm_drake.plugins.new.urdf.formats as formats
 from ffsm_drake.cli import main
-from ffsm_drake.plugins.new.urdf.formats.converting import convert
 from ffsm_drake.plugins.new.urdf.servicer import read_urdf
 from ffsm_drake.plugins.new.urdf.writing import write_urdf
 from ffsm_drake.runs.limits import not_measured
@@ -326,16 +323,8 @@ WRITERS: Mapping[str, tuple[Writer, str]] = {
 }
 
 
-def in_process(task: str, **question: Any) -> Any:
-    assert task == "convert"
-    return convert(**question)
-
-
 @pytest.mark.parametrize("kind", list(WRITERS))
-def test_a_mast_is_where_it_is_written(
-    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(formats, "answer", in_process)
+def test_a_mast_is_where_it_is_written(kind: str, tmp_path: Path) -> None:
     writer, picture = WRITERS[kind]
     rng = np.random.default_rng(int(os.environ.get("FFSM_SEED", "1")))
     wrong = []
