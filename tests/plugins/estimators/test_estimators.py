@@ -62,6 +62,29 @@ def smooth_motion(rng, count):
     return v_d - e_dot, v_d, e, e_dot, force
 
 
+def sampled(**given):
+    """A sample of what is given, not the first."""
+    return Sample(
+        **dict.fromkeys(("q", "v", "q_d", "v_d", "a_d"), None) | {"is_first": False} | given
+    )
+
+
+def made(name, *overrides):
+    """The estimator of a scenario."""
+    scenario = load_scenario(name, overrides)
+    return make_estimator(scenario, make_nominal_plant(scenario).coordinates)
+
+
+def by_coordinate(values):
+    return dict(zip(NAMES, values.tolist(), strict=True))
+
+
+def poles(gain, step):
+    """Of the error of a filter of [e, e', d]."""
+    transition = np.array([[1, step, step**2 / 2], [0, 1, step], [0, 0, 1]])
+    return np.linalg.eigvals((np.eye(3) - gain @ np.eye(2, 3)) @ transition)
+
+
 def random_spd(rng):
     root = rng.normal(size=(SIZE, SIZE))
     return 20.0 * (root @ root.T / SIZE + np.eye(SIZE))
@@ -82,16 +105,8 @@ def test_one_sample_is_the_limit_of_kalman(seed):
     n, tau = ([], []), ([], [])
     for k in range(v.shape[0]):
         before = force[k - 1] if k else np.zeros(SIZE)
-        sample = Sample(
-            q=None,
-            v=v[k],
-            q_d=None,
-            v_d=v_d[k],
-            a_d=None,
-            e=e[k],
-            e_dot=e_dot[k],
-            applied_force=before,
-            is_first=k == 0,
+        sample = sampled(
+            v=v[k], v_d=v_d[k], e=e[k], e_dot=e_dot[k], applied_force=before, is_first=k == 0
         )
         u = 3.0 * e_dot[k] + 2.0 * e[k] + 0.1
         for i, estimator in enumerate((one_sample, kalman)):
@@ -133,14 +148,12 @@ def test_gain_is_that_of_the_filter_for_any_sensors(step):
     position = (1e-3, 5e-5, 1e-5, 1e-6, 1e-3, 2e-4)
     velocity = (1e-3, 1.5e-5, 1e-4, 1e-6, 1e-2, 1e-4)
     walk = (1e-3, 1e-3, 1e-2, 1e-2, 10.0, 0.3)
-    transition = np.array([[1, step, step**2 / 2], [0, 1, step], [0, 0, 1]])
     for numbers in zip(position, velocity, walk, strict=True):
         noises = dict(zip(("position_noise", "velocity_noise", "walk"), numbers, strict=True))
         found = kalman_gain(**noises, sample_time=step)
         both_new = late_gains(SensedAxis(**noises), sample_time=step)[3]
         assert found == pytest.approx(both_new[:3], rel=1e-7), noises
-        error_map = (np.eye(3) - found @ np.eye(3)[:2]) @ transition
-        assert np.abs(np.linalg.eigvals(error_map)).max() < 1.0
+        assert np.abs(poles(found, step)).max() < 1.0
 
 
 def test_every_kind_that_a_scenario_can_name_is_there():
@@ -184,23 +197,18 @@ def test_each_coordinate_has_the_gain_of_its_own_noise():
         assert np.array_equal(estimator.gain[coordinates.names.index(name)], expected), name
 
 
-def late_sample(k, *, v_d, e, e_dot, force, delay, is_new=None):
+def late_sample(k, *, v_d, e, e_dot, force, delay):
     """What the controller reads at sample k when each coordinate's measurement is ``delay`` (SIZE)
     old.
     """
     position = np.vstack([np.zeros(SIZE), np.cumsum(0.5 * PERIOD * (v_d[1:] + v_d[:-1]), axis=0)])
     then, axis = np.maximum(k - delay, 0), np.arange(SIZE)
-    return Sample(
-        q=None,
-        v=None,
-        q_d=None,
+    return sampled(
         v_d=v_d[k],
-        a_d=None,
         e=e[then, axis] + position[k] - position[then, axis],
         e_dot=e_dot[then, axis] + v_d[k] - v_d[then, axis],
         applied_force=force[k - 1] if k else np.zeros(SIZE),
         is_first=k == 0,
-        is_new=is_new,
     )
 
 
@@ -214,16 +222,9 @@ def test_late_measurements_are_filtered_at_their_time_and_predicted():
         sample_time=PERIOD, gain=np.tile(kalman_gain(**noise, sample_time=PERIOD), (SIZE, 1, 1))
     )
     prediction = KalmanEstimator(sample_time=PERIOD, gain=np.zeros((SIZE, 3, 2)))
-    settings, late = (
-        [f"estimator.{name}={value}" for name, value in noise.items()],
-        dict(zip(NAMES, delay, strict=True)),
-    )
-    settings += [
-        f"sensing.{part}_delay={{{', '.join(f'{n}: {d}' for n, d in late.items())}}}"
-        for part in PARTS
-    ]
-    scenario = load_scenario("postcapture", ["estimator.kind=kalman", *settings])
-    late = make_estimator(scenario, make_nominal_plant(scenario).coordinates)
+    settings = [f"estimator.{name}={value}" for name, value in noise.items()]
+    settings += [f"sensing.{part}_delay={by_coordinate(delay)}" for part in PARTS]
+    late = made("postcapture", "estimator.kind=kalman", *settings)
     assert isinstance(late, LateKalmanEstimator)
     _, v_d, e, e_dot, force = smooth_motion(rng, 120)
     at_its_time, given = (
@@ -323,12 +324,8 @@ def test_coupled_is_separate_where_nothing_couples(bias_walk):
     of_bias = np.where(np.isin(np.arange(SIZE), (6, 8)), 0.0, bias_walk)
     settings = {"position_noise": position, "velocity_noise": velocity, "walk": walk}
     settings["velocity_bias_walk"] = of_bias
-    given = [
-        f"estimator.{key}={dict(zip(NAMES, of.tolist(), strict=True))}"
-        for key, of in settings.items()
-    ]
-    scenario = load_scenario("postcapture", ["estimator.kind=kalman", *given])
-    separate = make_estimator(scenario, make_nominal_plant(scenario).coordinates)
+    given = [f"estimator.{key}={by_coordinate(of)}" for key, of in settings.items()]
+    separate = made("postcapture", "estimator.kind=kalman", *given)
     assert isinstance(separate, LateKalmanEstimator if bias_walk else KalmanEstimator)
     axes = np.array([0, 1, 2, 6, 7, 8, 9, 10])
     together = coupled_gain(
@@ -352,7 +349,7 @@ def test_coupled_is_separate_where_nothing_couples(bias_walk):
     for k in range(60):
         given = {"v_d": v_d[k], "e": e[k], "e_dot": e_dot[k], "applied_force": force[k]}
         given |= {"q": rng.normal(size=SIZE + 1), "q_d": q_d}
-        sample = Sample(v=None, a_d=None, is_first=k == 0, **given)
+        sample = sampled(is_first=k == 0, **given)
         expected, states[0] = separate.step(sample, np.diag(mass), states[0])
         estimate, states[1] = coupled.step(sample, np.diag(mass), states[1])
         for name in ("e", "e_dot", "base_acceleration"):
@@ -473,8 +470,7 @@ def test_no_random_motion_of_the_joints_makes_the_coupled_filter_diverge():
 
 
 def test_what_is_not_new_is_not_looked_at():
-    scenario = load_scenario("slow_navigation")
-    estimator = make_estimator(scenario, make_nominal_plant(scenario).coordinates)
+    estimator = made("slow_navigation")
     rng = np.random.default_rng(0)
     state = {
         name: rng.normal(size=value.shape) for name, value in estimator.initial_state().items()
@@ -483,18 +479,10 @@ def test_what_is_not_new_is_not_looked_at():
     is_new = np.ones(2 * SIZE, dtype=bool)
     is_new[[3, 4, 5, SIZE + 3, SIZE + 4, SIZE + 5]] = False
     position = np.isin(np.arange(SIZE), (3, 4, 5))
-    given = {
-        "q": np.eye(1, SIZE + 1)[0],
-        "v": None,
-        "q_d": None,
-        "v_d": v_d,
-        "a_d": None,
-        "applied_force": force,
-        "is_first": False,
-    }
+    given = {"q": np.eye(1, SIZE + 1)[0], "v_d": v_d, "applied_force": force}
     results = [
         estimator.step(
-            Sample(**given, e=e + error, e_dot=e_dot + error, is_new=new), np.eye(SIZE), state
+            sampled(**given, e=e + error, e_dot=e_dot + error, is_new=new), np.eye(SIZE), state
         )[0]
         for error, new in ((0.0, is_new), (wrong * position, is_new), (wrong * position, None))
     ]
@@ -515,18 +503,11 @@ def test_the_bases_filters_stand_in_its_axes(seed):
     """
     rng = np.random.default_rng(seed)
     drawn = rng.uniform(1.0, 4.0, (4, SIZE)) * np.array([[1e-4], [1e-4], [1e-2], [1e-3]])
-    keys = [
-        f"estimator.{key}"
-        for key in ("position_noise", "velocity_noise", "walk", "velocity_bias_walk")
-    ]
-    given = [
-        f"{key}={dict(zip(NAMES, of.tolist(), strict=True))}"
-        for key, of in zip(keys, drawn, strict=True)
-    ]
+    keys = ("position_noise", "velocity_noise", "walk", "velocity_bias_walk")
+    given = [f"estimator.{key}={by_coordinate(of)}" for key, of in zip(keys, drawn, strict=True)]
     given += ["sensing.position_delay={base_position: 4, joints: 1}",
               "sensing.velocity_period={base_rotation: 3}"]  # fmt: skip
-    scenario = load_scenario("postcapture", ["estimator.kind=kalman", *given])
-    estimator = make_estimator(scenario, make_nominal_plant(scenario).coordinates)
+    estimator = made("postcapture", "estimator.kind=kalman", *given)
     turn = Rotation.random(random_state=seed)
     attitude = Rotation.random(random_state=seed + 100)
     states = [dict(estimator.initial_state()) for _ in range(2)]
@@ -538,10 +519,9 @@ def test_the_bases_filters_stand_in_its_axes(seed):
         for i, by in enumerate((Rotation.identity(), turn)):
             q = np.zeros(SIZE + 1)
             q[[1, 2, 3, 0]] = (by * attitude).as_quat()
-            sample = Sample(
-                q=q, v=None, q_d=None, v_d=turned(by, v_d), a_d=None, e=turned(by, e),
-                e_dot=turned(by, e_dot), applied_force=turned(by, force), is_first=k == 0,
-                is_new=new,
+            sample = sampled(
+                q=q, v_d=turned(by, v_d), e=turned(by, e), e_dot=turned(by, e_dot),
+                applied_force=turned(by, force), is_first=k == 0, is_new=new,
             )  # fmt: skip
             estimate, states[i] = estimator.step(sample, mass, states[i])
             found.append(np.stack([estimate.e, estimate.e_dot, estimate.base_acceleration]))
@@ -560,8 +540,7 @@ def test_a_turning_gyros_bias_is_found_in_its_axes(seed):
         *("estimator.position_noise=1e-5", "estimator.velocity_noise=1e-5", "estimator.walk=1e-4"),
         "estimator.velocity_bias_walk={base_rotation: 1e-5}",
     ]
-    scenario = load_scenario("postcapture", ["estimator.kind=kalman", *given])
-    estimator = make_estimator(scenario, make_nominal_plant(scenario).coordinates)
+    estimator = made("postcapture", "estimator.kind=kalman", *given)
     bias, axis = 1e-4 * rng.normal(size=3), rng.normal(size=3)
     rate = 0.1 * axis / np.linalg.norm(axis)
     state, zeros = dict(estimator.initial_state()), np.zeros(SIZE)
@@ -570,10 +549,7 @@ def test_a_turning_gyros_bias_is_found_in_its_axes(seed):
         q, e_dot = np.zeros(SIZE + 1), np.zeros(SIZE)
         q[[1, 2, 3, 0]] = attitude.as_quat()
         e_dot[:3] = -attitude.apply(bias)
-        sample = Sample(
-            q=q, v=zeros, q_d=q, v_d=zeros, a_d=zeros, e=zeros, e_dot=e_dot, applied_force=zeros,
-            is_first=k == 0,
-        )  # fmt: skip
+        sample = sampled(q=q, v_d=zeros, e=zeros, e_dot=e_dot, applied_force=zeros, is_first=k == 0)
         state = estimator.step(sample, np.eye(SIZE), state)[1]
     off = state["estimated_velocity_bias"][:3] - bias
     assert np.linalg.norm(off) < 0.02 * np.linalg.norm(bias)
@@ -640,17 +616,7 @@ def test_the_published_estimate_is_the_default(name):
     rng = np.random.default_rng(0)
     e, e_dot, v, v_d, force, old = rng.normal(size=(6, 11))
     for is_first in (True, False):
-        sample = Sample(
-            q=None,
-            v=v,
-            q_d=None,
-            v_d=v_d,
-            a_d=None,
-            e=e,
-            e_dot=e_dot,
-            applied_force=force,
-            is_first=is_first,
-        )
+        sample = sampled(v=v, v_d=v_d, e=e, e_dot=e_dot, applied_force=force, is_first=is_first)
         estimate, kept = estimator.step(sample, np.eye(11), {"delayed_velocity": old})
         assert estimate.e is e
         assert estimate.e_dot is e_dot
@@ -759,13 +725,11 @@ def test_no_filter_alternates_with_exact_positions(seed):
     rng = np.random.default_rng(seed)
     position, velocity, walk = 10.0 ** rng.uniform([-14, -9, -4], [-7, -2, 1])
     step = 10.0 ** rng.uniform(-3, -1)
-    transition = np.array([[1, step, step**2 / 2], [0, 1, step], [0, 0, 1]])
     one = {"velocity_noise": velocity, "walk": walk, "sample_time": step}
     for given in (0.0, position):
-        gain = kalman_gain(position_noise=given, **one)
-        poles = np.linalg.eigvals((np.eye(3) - gain @ np.eye(2, 3)) @ transition)
-        assert poles.real.min() > -0.75
-        assert np.abs(poles).max() < 1.0
+        found = poles(kalman_gain(position_noise=given, **one), step)
+        assert found.real.min() > -0.75
+        assert np.abs(found).max() < 1.0
 
 
 @pytest.mark.parametrize("kind", ["kalman", "coupled"])
