@@ -59,11 +59,15 @@ def wrenches_of(layout):
     for unit in units:
         force = np.array(unit.direction) / np.linalg.norm(unit.direction)
         columns.append(np.r_[np.cross(unit.position, force), force])
-    return (
-        np.array(columns).T,
-        np.array([u.force for u in units]),
-        np.array([1 / u.specific_impulse for u in units]),
-    )
+    figures = np.array([(unit.force, 1 / unit.specific_impulse) for unit in units])
+    return np.array(columns).T, *figures.T
+
+
+def largest_part(wrenches, wanted, bounds):
+    """The share of a wrench that thrusters within ``bounds`` can give, by a linear program."""
+    columns, none = np.c_[wrenches, -wanted], np.zeros(len(bounds))
+    best = linprog([*none, -1.0], A_eq=columns, b_eq=np.zeros(6), bounds=[*bounds, (0.0, 1.0)])
+    return best.x[-1]
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -81,13 +85,7 @@ def test_allocation_takes_the_least_propellant(layout):
         assert (forces >= 0.0).all()
         assert (forces <= largest * (1 + 1e-9)).all()
         bounds = [(0, bound) for bound in largest]
-        most = linprog(
-            np.r_[0 * cost, -1],
-            A_eq=np.c_[wrenches, -wrench],
-            b_eq=np.zeros(6),
-            bounds=[*bounds, (0, 1)],
-        )
-        assert part == pytest.approx(most.x[-1], rel=1e-6)
+        assert part == pytest.approx(largest_part(wrenches, wrench, bounds), rel=1e-6)
         least = linprog(cost, A_eq=wrenches, b_eq=part * (1 - 1e-9) * wrench, bounds=bounds)
         assert cost @ forces == pytest.approx(least.fun, rel=1e-5)
     assert min(parts) < 0.9
@@ -124,12 +122,8 @@ def test_the_largest_wrench_is_found_however_short_the_arms(powers, number):
         return
     beyond = 10.0 * largest.sum()
     for wrench in beyond * np.vstack([np.eye(6), -np.eye(6)]):
-        best = linprog(
-            np.r_[np.zeros(count), -1.0], A_eq=np.c_[wrenches, -wrench], b_eq=np.zeros(6),
-            bounds=[*((0, bound) for bound in largest), (0, 1)],
-        )  # fmt: skip
-        given_part = float(allocation.solve(wrench)[1])
-        assert given_part == pytest.approx(best.x[-1], rel=0.02, abs=1e-9)
+        best = largest_part(wrenches, wrench, [(0, bound) for bound in largest])
+        assert allocation.solve(wrench)[1] == pytest.approx(best, rel=0.02, abs=1e-9)
 
 
 @pytest.mark.parametrize(("layout", "failures"), [("12x5N", 1), ("16x22N", 2)])
@@ -151,12 +145,9 @@ def test_beside_a_thruster_that_is_stuck_on_a_wrench_keeps_its_direction(layout,
     settings = Thrusters(layout=layout, failures=failures)
     thrusters = ThrusterSet(settings, sample_time=0.01)
     wrenches, largest, _ = wrenches_of(layout)
-    states = [failures.get(name) for name in thrusters.names]
-    bounds = [
-        {None: (0.0, most), "stuck_off": (0.0, 0.0), "stuck_on": (most, most)}[state]
-        for most, state in zip(largest, states, strict=True)
-    ]
-    stuck = largest * [state == "stuck_on" for state in states]
+    states = np.array([failures.get(name) for name in thrusters.names])
+    stuck = largest * (states == "stuck_on")
+    bounds = np.column_stack([stuck, largest * (states != "stuck_off")])
     rng, parts = np.random.default_rng(0), []
     for _ in range(40):
         wanted = rng.normal(size=6) * 10 ** rng.uniform(-1.0, 2.5)
@@ -166,13 +157,7 @@ def test_beside_a_thruster_that_is_stuck_on_a_wrench_keeps_its_direction(layout,
         parts.append(firing.given)
         total = wrenches @ (memory["wanted"] + stuck)
         assert total == pytest.approx(firing.given * wanted, abs=1e-6)
-        best = linprog(
-            [*np.zeros(largest.size), -1.0],
-            A_eq=np.c_[wrenches, -wanted],
-            b_eq=np.zeros(6),
-            bounds=[*bounds, (0.0, 1.0)],
-        )
-        assert firing.given == pytest.approx(best.x[-1], abs=1e-6)
+        assert firing.given == pytest.approx(largest_part(wrenches, wanted, bounds), abs=1e-6)
         if firing.given < 1.0:
             assert thrusters.most(wanted) == pytest.approx(firing.given, rel=1e-6)
     assert min(parts) < 0.2
@@ -288,16 +273,9 @@ def test_mean_level_is_the_exact_mean(rise, fall):
         for length, target, constant in parts:
             if length > 0.0:
                 path = solve_ivp(
-                    lambda _, x, target=target, constant=constant: [
-                        (target - x[0]) / constant,
-                        x[0],
-                    ],
-                    (0, length),
-                    [y, 0.0],
-                    method="Radau",
-                    rtol=1e-9,
-                    atol=1e-12,
-                )
+                    lambda _, x, target=target, rate=1 / constant: [rate * (target - x[0]), x[0]],
+                    (0, length), [y, 0.0], method="Radau", rtol=1e-9, atol=1e-12,
+                )  # fmt: skip
                 y, total = path.y[0, -1], total + path.y[1, -1]
         assert mean[i] == pytest.approx(total / period, abs=2e-4)
         assert end[i] == pytest.approx(y, abs=1e-6)
@@ -306,19 +284,16 @@ def test_mean_level_is_the_exact_mean(rise, fall):
 def test_schmitt_trigger_is_its_filter_with_hysteresis():
     trigger = SchmittTrigger(gain=10.0, time_constant=0.2, on=0.25, off=0.15, sample_time=0.01)
     share, filtered, is_on, fired, heard = np.array([0.3]), np.zeros(1), np.zeros(1), [], []
-    states = []
     for _ in range(300):
-        heard.append(share[0] - is_on[0])
+        heard.append(share - is_on)
         filtered, is_on = trigger.step(share, filtered, is_on)
-        fired.append(is_on[0])
-        states.append(filtered[0])
-    _, output, _ = lsim(
-        ([10.0], [0.2, 1.0]), [*heard, heard[-1]], np.arange(301) * 0.01, interp=False
-    )
+        fired.append([filtered, is_on])
+    time, heard = np.arange(301) * 0.01, np.ravel([*heard, heard[-1]])
+    _, output, _ = lsim(([10.0], [0.2, 1.0]), heard, time, interp=False)
+    states, on = np.array(fired)[..., 0].T
     assert states == pytest.approx(output[1:], abs=1e-9)
-    on = np.array(fired) > 0
-    assert (np.array(states)[on] > 0.15).all()
-    assert (np.array(states)[~on] < 0.25).all()
+    assert (states[on > 0] > 0.15).all()
+    assert (states[on == 0] < 0.25).all()
     assert on.mean() == pytest.approx(0.3, abs=0.02)
 
 
@@ -344,10 +319,8 @@ def test_the_plant_gets_what_fires(run, layout, overrides):
     record = run(*SHORT, f"actuation.thrusters.layout={layout}", *overrides)
     data, period = record.dataset, 0.01
     wrenches, largest, _ = wrenches_of(layout)
-    fired, applied = (
-        data["thruster_force"].values,
-        data["applied_force"].sel(coordinate=BASE).values,
-    )
+    fired = data["thruster_force"].values
+    applied = data["applied_force"].sel(coordinate=BASE).values
     for k in range(0, 200, 7):
         turned = (wrenches @ fired[k]).reshape(2, 3) @ middle_rotation(data, k, period).T
         assert applied[k] == pytest.approx(turned.ravel(), abs=1e-9)
@@ -375,19 +348,13 @@ def test_sigma_delta_owes_less_than_a_pulse(run):
     """
     record = run(*SHORT, "actuation.thrusters.layout=16x22N")
     data = record.dataset
-    owed = (
-        np.cumsum(
-            (data["generalized_force"] - data["applied_force"]).sel(coordinate=BASE).values, axis=0
-        )
-        * 0.01
-    )
+    missing = (data["generalized_force"] - data["applied_force"]).sel(coordinate=BASE)
+    owed = 0.01 * missing.cumsum("time").values
     wrenches, largest, _ = wrenches_of("16x22N")
     pulse = 0.02 * largest[0] * np.abs(wrenches).sum(axis=1)
     assert record.metrics["thrusters"]["saturated"] == 0.0
-    assert (
-        np.abs(owed)
-        <= 0.8 * pulse + 0.02 * np.abs(data["generalized_force"].values[:, :6]).max(axis=0)
-    ).all()
+    command = np.abs(data["generalized_force"].values[:, :6]).max(axis=0)
+    assert (np.abs(owed) <= 0.8 * pulse + 0.02 * command).all()
     assert np.abs(owed).max() > 0.05
 
 
@@ -448,87 +415,46 @@ def test_a_comparison_shows_and_ranks_propellant(run):
     texts = [number(taken[0]), number(taken[1]), "not recorded"]
     assert [entry["text"] for entry in ranking["entries"]] == texts
     (row,) = (row for row in table(results) if row.label == "Propellant")
-    assert [(cell.text, cell.kind) for cell in row.cells] == [
-        (texts[1], ""),
-        (NONE, ""),
-        (texts[0], "best"),
-    ]
+    cells = [(cell.text, cell.kind) for cell in row.cells]
+    assert cells == [(texts[1], ""), (NONE, ""), (texts[0], "best")]
     lines = results_table([many, without, few]).splitlines()
-    assert [line.split()[-1] for line in lines[:5]] == [
-        "propellant",
-        "g",
-        f"{taken[1]:.4g}",
-        NONE,
-        f"{taken[0]:.4g}",
-    ]
+    column = ["propellant", "g", f"{taken[1]:.4g}", NONE, f"{taken[0]:.4g}"]
+    assert [line.split()[-1] for line in lines[:5]] == column
     assert not any(
         each["title"].startswith("By prop") for each in rankings(results_of([without, without]))
     )
 
 
 @pytest.mark.parametrize(
-    ("overrides", "expected"),
+    ("settings", "expected"),
     [
         (
-            (
-                "actuation.thrusters.layout=12x5N",
-                "actuation.thrusters.failures={a_x: stuck_off, b_x: stuck_off}",
-            ),
-            "actuation.thrusters.failures: with a_x stuck_off, b_x stuck_off no thrusters give a "
-            "force along [-1",
+            "layout: 12x5N, failures: {a_x: stuck_off, b_x: stuck_off}",
+            "failures: with a_x stuck_off, b_x stuck_off no thrusters give a force along [-1",
         ),
+        ("layout: 13x5N", "layout: '13x5N' is unknown; choose one of 12x1N"),
+        ("layout: null", "layout: choose one of 12x1N, 12x5N, 16x22N, or"),
+        ("units: {a: {force: 1}}", "units: has no effect with a layout; set layout: null"),
+        ("layout: null, units: {a: {force: 1}}", "units: no thrusters give a "),
         (
-            ("actuation.thrusters.layout=13x5N",),
-            "actuation.thrusters.layout: '13x5N' is unknown; choose one of 12x1N",
+            "layout: null, units: {a: {direction: [0, 0, 0]}}",
+            "units.a.direction: must not be zero",
         ),
+        ("failures: {a_w: stuck_on}", "failures.a_w: 'a_w' is unknown"),
+        ("failures: {a_x: broken}", "failures.a_x: 'broken' is unknown; choose one of stuck_off"),
+        ("modulator: pwm", "modulator: 'pwm' is unknown; choose one of sigma_delta, pulse_width"),
         (
-            ("actuation.thrusters.layout=null",),
-            "actuation.thrusters.layout: choose one of 12x1N, 12x5N, 16x22N, or",
-        ),
-        (
-            ("actuation.thrusters.units={a: {force: 1}}",),
-            "units: has no effect with a layout; set layout: null",
-        ),
-        (
-            ("actuation.thrusters={layout: null, units: {a: {force: 1}}}",),
-            "actuation.thrusters.units: no thrusters give a ",
-        ),
-        (
-            ("actuation.thrusters={layout: null, units: {a: {direction: [0, 0, 0]}}}",),
-            "actuation.thrusters.units.a.direction: must not be zero",
-        ),
-        (
-            ("actuation.thrusters.failures={a_w: stuck_on}",),
-            "actuation.thrusters.failures.a_w: 'a_w' is unknown",
-        ),
-        (
-            ("actuation.thrusters.failures={a_x: broken}",),
-            "failures.a_x: 'broken' is unknown; choose one of stuck_off",
-        ),
-        (
-            ("actuation.thrusters.modulator=pwm",),
-            "modulator: 'pwm' is unknown; choose one of sigma_delta, pulse_width",
-        ),
-        (
-            ("actuation.thrusters.frame=1",),
+            "frame: 1",
             "frame: 1 control samples are 0.01 s, shorter than minimum_on_time, 0.02 s",
         ),
-        (
-            ("actuation.thrusters.threshold=1",),
-            "actuation.thrusters.threshold: must be from 0.5 to below 1, not 1",
-        ),
-        (
-            ("actuation.thrusters.rise_time=-1",),
-            "actuation.thrusters.rise_time: must be from 0 to 1000 s, not -1",
-        ),
-        (
-            ("actuation.thrusters.pwpf.off=0.3",),
-            "pwpf.off: must be from 0 to below on (0.25), not 0.3",
-        ),
+        ("threshold: 1", "threshold: must be from 0.5 to below 1, not 1"),
+        ("rise_time: -1", "rise_time: must be from 0 to 1000 s, not -1"),
+        ("pwpf: {off: 0.3}", "pwpf.off: must be from 0 to below on (0.25), not 0.3"),
     ],
 )
-def test_errors_are_one_clear_line(overrides, expected):
-    assert_refused(expected, "postcapture", *overrides)
+def test_errors_are_one_clear_line(settings, expected):
+    settings = f"actuation.thrusters={{{settings}}}"
+    assert_refused(f"actuation.thrusters.{expected}", "postcapture", settings)
 
 
 @pytest.mark.slow
