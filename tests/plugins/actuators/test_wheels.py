@@ -5,6 +5,7 @@ unloading.
 import flight_settings
 import numpy as np
 import pytest
+from balances import assert_momentum_follows
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.common.eigen_geometry import Quaternion
@@ -20,7 +21,6 @@ from ffsm_drake.common.numbers import number
 from ffsm_drake.plugins.actuators.row import make_base_actuators
 from ffsm_drake.plugins.actuators.wheels import WheelSet
 from ffsm_drake.plugins.report.part_panels import part_tables
-from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.scenario import Wheel, Wheels
 from ffsm_drake.show.results import results_of
 from ffsm_drake.spacecraft.mass_properties import set_payload
@@ -42,6 +42,15 @@ def wheels(momentum=(20, -15, 10, 5), **values):
         for (name, axis), h in zip(AXES.items(), momentum, strict=True)
     }
     return f"actuation.wheels={{units: {units}}}"
+
+
+def pyramid(*, alone, **values):
+    """The same wheels with other limits, at rest."""
+    units = {
+        name: Wheel(axis=[*map(float, axis)], inertia=0.1, torque_limit=0.5, speed_limit=100.0)
+        for name, axis in AXES.items()
+    }
+    return WheelSet(Wheels(units=units, **values), sample_time=PERIOD, alone=alone)
 
 
 @pytest.fixture(scope="module")
@@ -133,17 +142,14 @@ def test_wheels_are_rotors_on_joints(turning):
     assert turned == pytest.approx(speeds(100), abs=1e-8)
     assert np.abs(turned - speeds(0)).max() > 0.5
     # Without the gyroscopic torque it would be elsewhere.
-    assert (
-        np.abs(np.cross(data["velocity"].values[:, :3], data["stored_momentum"].values)).max()
-        > 0.01
-    )
+    gyroscopic = np.cross(data["velocity"].values[:, :3], data["stored_momentum"].values)
+    assert np.abs(gyroscopic).max() > 0.01
 
 
 @pytest.mark.smoke
 def test_torque_on_the_base_is_what_the_wheels_take(turning):
     data = turning.dataset
-    for residual in momentum_residual(data).values():
-        assert np.linalg.norm(residual, axis=1).max() < 1e-9
+    assert_momentum_follows(data, 1e-9)
     axes = UNIT_AXES.T
     for k in (0, 50, 200):
         q = data["position"].values[k, :4]
@@ -173,8 +179,7 @@ def test_momentum_of_the_stack_follows_what_fires(run):
     )
     impulse = sum(record.metrics["thrusters"]["impulse"].values())
     assert impulse > 1.0
-    for residual in momentum_residual(record.dataset).values():
-        assert np.linalg.norm(residual, axis=1).max() < 1e-9 * impulse
+    assert_momentum_follows(record.dataset, 1e-9 * impulse)
 
 
 def test_thrusters_unload_full_wheels(run):
@@ -199,7 +204,7 @@ def test_thrusters_unload_full_wheels(run):
 def test_unloading_has_hysteresis():
     units = {"z": Wheel(inertia=0.1, speed_limit=100.0)}
     settings = Wheels(units=units, desaturate_above=0.8, desaturate_below=0.2)
-    wheel_set = WheelSet(settings, sample_time=0.01, alone=False)
+    wheel_set = WheelSet(settings, sample_time=PERIOD, alone=False)
     at_rest = np.zeros(3)
     assert not wheel_set.unloads(False, np.array([7.9]), at_rest)
     assert wheel_set.unloads(False, np.array([-8.1]), at_rest)
@@ -235,9 +240,8 @@ def test_motors_take_out_what_wheels_hold_against_each_other(count, seed, speedi
         assert not wheel_set.unloads(False, momentum, turning)
         wanted = 0.01 * rng.normal(size=3) if speeding else np.zeros(3)
         alone = wheel_set.give(wanted, momentum, turning)
-        torques = wheel_set.give(
-            wanted, momentum, turning, rearranging=wheel_set.rearranging_torque(momentum)
-        )
+        more = wheel_set.rearranging_torque(momentum)
+        torques = wheel_set.give(wanted, momentum, turning, rearranging=more)
         assert torques.on_base == pytest.approx(alone.on_base, abs=1e-13)
         assert np.abs(torques.motor).max() <= 2.0
         momentum, samples = momentum + 0.01 * torques.on_wheels, samples + 1
@@ -266,11 +270,7 @@ def test_opposed_momentum_is_no_work_for_thrusters(run):
 
 
 def test_wheels_stay_within_their_limits():
-    units = {
-        name: Wheel(axis=list(map(float, axis)), inertia=0.1, torque_limit=0.5, speed_limit=100.0)
-        for name, axis in AXES.items()
-    }
-    wheel_set = WheelSet(Wheels(units=units), sample_time=0.01, alone=True)
+    wheel_set = pyramid(alone=True)
     w = np.array([0.01, -0.02, 0.03])
     at_rest = wheel_set.give(np.array([0.2, 0.1, -0.3]), np.zeros(4), w)
     assert at_rest.on_base == pytest.approx([0.2, 0.1, -0.3])
@@ -306,13 +306,7 @@ def test_any_torque_is_given_within_the_limits_or_is_none(torque, size):
 
 
 def test_thrusters_are_asked_for_what_is_far_beyond_the_wheels():
-    units = {
-        name: Wheel(axis=list(map(float, axis)), torque_limit=0.5) for name, axis in AXES.items()
-    }
-    helped, alone = (
-        WheelSet(Wheels(units=units, assist_above=above), sample_time=0.01, alone=False)
-        for above in (2.0, None)
-    )
+    helped, alone = (pyramid(alone=False, assist_above=above) for above in (2.0, None))
     most = 0.5 * 4.0 / np.sqrt(3.0) * np.array([0.0, 0.0, 1.0])  # that they give about z
     assert helped.most(most / np.linalg.norm(most)) == pytest.approx(np.linalg.norm(most))
     assert helped.assist_torque(1.9 * most) == pytest.approx(np.zeros(3))
@@ -321,41 +315,36 @@ def test_thrusters_are_asked_for_what_is_far_beyond_the_wheels():
 
 
 @pytest.mark.parametrize(
-    ("overrides", "expected"),
+    ("settings", "expected"),
     [
+        ("units: {z: {}}, assist_above: 0.5", "assist_above: must be >= 1, not 0.5"),
+        ("units: {}", "units: give wheels by name"),
         (
-            ("actuation.wheels={units: {z: {}}, assist_above: 0.5}",),
-            "assist_above: must be >= 1, not 0.5",
-        ),
-        (("actuation.wheels.units={}",), "actuation.wheels.units: give wheels by name"),
-        (
-            ("actuation.wheels.units={z: {}}",),
+            "units: {z: {}}",
             "units: give no torque about the axis [-1, 0, 0] of the base; add wheels",
         ),
+        ("units: {z: {axis: [0, 0, 0]}}", "units.z.axis: must not be zero"),
+        ("units: {z: {inertia: 0}}", "units.z.inertia: must be > 0 kg m^2, not 0"),
         (
-            ("actuation.wheels.units={z: {axis: [0, 0, 0]}}",),
-            "actuation.wheels.units.z.axis: must not be zero",
+            "units: {z: {initial_momentum: 60}}",
+            "units.z.initial_momentum: must be within inertia * speed_limit, 50.24 N m s, not 60",
         ),
         (
-            ("actuation.wheels.units={z: {inertia: 0}}",),
-            "actuation.wheels.units.z.inertia: must be > 0 kg m^2, not 0",
-        ),
-        (
-            ("actuation.wheels.units={z: {initial_momentum: 60}}",),
-            "z.initial_momentum: must be within inertia * speed_limit, 50.24 N m s, not 60",
-        ),
-        (
-            ("actuation.wheels={units: {z: {}}, desaturate_below: 0.9}",),
+            "units: {z: {}}, desaturate_below: 0.9",
             "desaturate_below: must be from 0 to below desaturate_above (0.8), not 0.9",
-        ),
-        (
-            (wheels(inertia=400.0), "actuation.thrusters.layout=12x5N"),
-            "kg m^2 each) does not fit into the base's",
         ),
     ],
 )
-def test_errors_are_one_clear_line(overrides, expected):
-    assert_refused(expected, "postcapture", *overrides)
+def test_errors_are_one_clear_line(settings, expected):
+    settings = f"actuation.wheels={{{settings}}}"
+    assert_refused(f"actuation.wheels.{expected}", "postcapture", settings)
+
+
+def test_rotors_that_are_heavier_than_the_base_are_refused():
+    expected = "kg m^2 each) does not fit into the base's"
+    assert_refused(
+        expected, "postcapture", wheels(inertia=400.0), "actuation.thrusters.layout=12x5N"
+    )
 
 
 @settings(derandomize=True, database=None, deadline=None, max_examples=40)
