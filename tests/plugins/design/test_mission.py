@@ -46,8 +46,14 @@ def test_the_approach_is_looked_at_without_the_target():
     assert found.sentence.startswith("approach: unstable at rest")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["postcapture", "flight_sensors", "tumbling_capture"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "postcapture",
+        "flight_sensors",
+        pytest.param("tumbling_capture", marks=pytest.mark.slow),
+    ],
+)
 def test_shipped_missions_are_stable(name):
     scenario = load_scenario(name)
     found = linear_verdict(scenario)

@@ -116,31 +116,27 @@ def test_a_load_beyond_the_limit_is_told_as_a_number_or_in_words(load, said):
     assert f"after the grasp {said}" in "; ".join(found.warnings)
 
 
-@pytest.mark.slow
-def test_nothing_is_concluded_from_a_loop_that_cannot_be_linearised():
-    rare = 'blocks.sensing={tracker: "slow_tracker:Rare"}'
-    scenario = load_scenario("flight_sensors", [rare, "controller=tdc"])
-    found = verdict(scenario, rehearsal=False)
-    assert found.conclusion.startswith("no prediction; ")
-    assert not found.is_alarm
-    assert any("linear" in line and "cannot say" in line for line in found.lines)
-
-
 def test_a_run_that_ends_before_its_motion_is_not_expected_to_settle():
     found = verdict(load_scenario("postcapture", ["duration=3"]))
     assert found.conclusion.startswith("not expected to settle: ")
     assert not found.is_alarm
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
-    ("name", "controller"), [("Rare", "tdc"), ("Irregular", "tdc"), ("Irregular", "pd_plus")]
+    ("name", "controller"),
+    [
+        pytest.param("Rare", "tdc", marks=pytest.mark.slow),
+        pytest.param("Irregular", "tdc", marks=pytest.mark.long),
+        pytest.param("Irregular", "pd_plus", marks=pytest.mark.long),
+    ],
 )
-def test_margins_of_a_loop_that_cannot_be_linearised_cannot_be_said(name, controller):
+def test_nothing_is_concluded_from_a_loop_that_cannot_be_linearised(name, controller):
     given = [f'blocks.sensing={{tracker: "slow_tracker:{name}"}}', f"controller={controller}"]
     scenario = load_scenario("flight_sensors", given)
     found = verdict(scenario, rehearsal=False, margins=True)
     assert found.linear.status == "cannot say"
+    assert found.conclusion.startswith("no prediction; ")
+    assert not found.is_alarm
     assert (found.margins is None) is bool(found.not_margins)
     told = [line for line in found.lines if line.startswith("margins")]
     assert len(told) == 1

@@ -19,7 +19,7 @@ from ffsm_drake.spacecraft.nominal import (
     make_nominal_plant,
     make_true_plant,
 )
-from ffsm_drake.systems.disturbance import make_disturbance
+from ffsm_drake.systems.disturbance import force_at, sines_of
 from ffsm_drake.systems.reference import make_motion
 
 _POINTS = 101  # instants at which the lightest coordinates are sought
@@ -103,7 +103,8 @@ class PlannedDynamics:
         scenario, coordinates = self.scenario, self.coordinates
         nq, nv = len(coordinates.position_names), len(coordinates.names)
         q, v, a = np.split(self.motion.rows(times), [nq, nq + nv], axis=1)
-        force = self.locked.calc_inverse_dynamics(q, v, a) - self._disturbances(times)
+        disturbance = force_at(times[:, None], sines_of(scenario.disturbance, coordinates))
+        force = self.locked.calc_inverse_dynamics(q, v, a) - disturbance
         if friction and scenario.drives is not None:
             drives = DriveSet(scenario.drives, scenario.actuation.limit, coordinates)
             force[:, NUM_BASE_VELOCITIES:] -= drives.friction(v[:, NUM_BASE_VELOCITIES:])
@@ -115,16 +116,6 @@ class PlannedDynamics:
         if (key := times.tobytes()) not in self._drifts:
             self._drifts[key] = np.gradient(self.perfect_tracking(times)[0], times, axis=0)
         return self._drifts[key]
-
-    def _disturbances(self, times: np.ndarray) -> np.ndarray:
-        """The disturbance (n, nv) at times (n,), N m or N."""
-        disturbance = make_disturbance(self.scenario.disturbance, self.coordinates)
-        port = disturbance.GetOutputPort("generalized_force")
-        context, forces = disturbance.CreateDefaultContext(), []
-        for time in times.tolist():
-            context.SetTime(time)
-            forces.append(port.Eval(context))
-        return np.array(forces)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
