@@ -8,6 +8,7 @@ from tape_cases import CASES, evaluated, halved
 
 from ffsm_drake.tape.arrays import Traced, inputs, repeated, traced
 from ffsm_drake.tape.numbers import NotTraceable, Tape, number
+from ffsm_drake.tape.programs import Program
 from ffsm_drake.tape.tangents import tangents
 
 
@@ -70,3 +71,15 @@ def test_loops_give_what_they_give_on_numbers(most):
         tangents(tape, [twice[0]], {x[0].index: 1.0})
     with pytest.raises(NotTraceable, match="another sample"):
         repeated(lambda state, fixed: {"x": state["x"] + x[0]}, {"x": x[:1]}, {}, most=1)
+
+
+@pytest.mark.parametrize("name", ["sums", "products", "quotients"])
+def test_a_program_computes_many_inputs_at_once(name):
+    tape, columns = Tape(), np.random.default_rng(1).normal(size=(4, 5))
+    x = inputs(tape, "x", (4,))
+    results = [*np.concatenate([np.ravel(each) for each in CASES[name](x)])]
+    found = np.stack(np.broadcast_arrays(*Program(tape, results).run({"x": columns})))
+    expected = [evaluated(tape, column, results) for column in columns.T]
+    np.testing.assert_allclose(found.T, expected, rtol=1e-15, atol=1e-15)
+    with pytest.raises(NotTraceable, match="a program with abs"):
+        Program(tape, [*np.abs(x)])

@@ -729,7 +729,7 @@ class Blocks:
     def _control(self, cells: Any, signals: dict[str, Any], now: Now) -> tuple[Any, Any]:
         """The force and the law's memory after a sample."""
         law = with_symbols(self.law, cells.law, cells.planned, traced_model)
-        block = LawBlock(law, self.coordinates, errors=_tracking_errors)
+        block = LawBlock(law, self.coordinates, errors=tracking_errors)
         signals = signals | {
             "applied_force": cells.applied,
             "desired_frame": cells.frame if self.framed else None,
@@ -750,8 +750,7 @@ class Blocks:
         force, rates = self._others(cells, cells.state, time, **held)
         for each in self._last(cells, cells.state, time, force):
             force[list(self.forced)] = force[list(self.forced)] + each["generalized_force"]
-        given = list(q), list(v), list(force), list(cells.own)
-        return {"rates": [*equations.derivative(self.tree, *given), *_row(rates)]}
+        return {"rates": [*equations.derivative(self.tree, q, v, force, cells.own), *_row(rates)]}
 
     def _others(
         self, cells: Any, x: Any, time: Any, *, applied_force: Any, push: Any, acted: Any
@@ -883,11 +882,6 @@ def _stepped(
             kind = "law" if isinstance(block, LawBlock) else type(block).__name__
             raise NotTraceable(f"the {kind} returns other names or shapes than it should")
     return {name: traced(value) for name, value in outputs.items()}, after
-
-
-def _tracking_errors(desired: Any, actual: Any, num_positions: int) -> Any:
-    """``coordinates.tracking_errors`` on symbols."""
-    return tuple(map(traced, tracking_errors(list(desired), list(actual), num_positions)))
 
 
 def phases_of(sensors: Sequence[Sampled], samples: int) -> np.ndarray:

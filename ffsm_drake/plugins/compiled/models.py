@@ -22,50 +22,49 @@ class TracedModel(PlantModel):
     """A nominal model on symbols: its equations, tracking errors, and frames at a ``Place``."""
 
     reduced: ClassVar[type]  # of an underactuated plant, see ``driven_model``
-    own: list[Any]  # the parameters of the tree
+    own: Any  # the parameters of the tree
     tree: Tree
 
     def calc_mass_matrix(self, q: Any) -> Any:
         """See PlantModel."""
-        return traced(equations.mass_matrix(self.tree, list(q), self.own))
+        return traced(equations.mass_matrix(self.tree, q, self.own))
 
     def calc_bias(self, q: Any, v: Any) -> Any:
         """See PlantModel."""
-        return traced(equations.bias(self.tree, list(q), list(v), self.own))
+        return traced(equations.bias(self.tree, q, v, self.own))
 
     def calc_tracking_errors(self, desired: Any, actual: Any, num_positions: int) -> Any:
         """See PlantModel."""
-        return tuple(map(traced, tracking_errors(list(desired), list(actual), num_positions)))
+        return tracking_errors(desired, actual, num_positions)
 
     def calc_acceleration(self, q: Any, v: Any, force: Any) -> Any:
         """See PlantModel."""
-        given = list(q), list(v), list(force), self.own
-        return traced(equations.derivative(self.tree, *given)[len(q) :])
+        return traced(equations.derivative(self.tree, q, v, force, self.own)[len(q) :])
 
     def calc_jacobian(self, q: Any, frame: Any) -> Any:
         """See PlantModel."""
-        return traced(frames.jacobian(self.tree, _known(frame), list(q)))
+        return frames.jacobian(self.tree, _known(frame), q)
 
     def calc_bias_acceleration(self, q: Any, v: Any, frame: Any) -> Any:
         """See PlantModel."""
-        return traced(frames.bias_acceleration(self.tree, _known(frame), list(q), list(v)))
+        return frames.bias_acceleration(self.tree, _known(frame), q, v)
 
     def calc_frame_pose(self, q: Any, frame: Any) -> Any:
         """See PlantModel."""
-        rotation, origin = frames.pose(self.tree, _known(frame), list(q))
+        rotation, origin = frames.pose(self.tree, _known(frame), q)
         return traced([*quaternion_of(rotation), *origin])
 
     def calc_frame_rotation(self, q: Any, frame: Any) -> Any:
         """See PlantModel."""
-        return traced(frames.pose(self.tree, _known(frame), list(q))[0])
+        return frames.pose(self.tree, _known(frame), q)[0]
 
     def calc_frame_twist(self, q: Any, v: Any, frame: Any) -> Any:
         """See PlantModel."""
-        return traced(frames.twist(self.tree, _known(frame), list(q), list(v)))
+        return frames.twist(self.tree, _known(frame), q, v)
 
     def calc_point_jacobian(self, q: Any, frame: Any, point: Any) -> Any:
         """See PlantModel."""
-        return traced(frames.point_jacobian(self.tree, _known(frame), list(q), list(point)))
+        return frames.point_jacobian(self.tree, _known(frame), q, point)
 
     def _set_state(self, q: Any, v: Any = None) -> None:
         raise NotTraceable("the law asks its model for more than its equations and frames")
@@ -84,10 +83,10 @@ class PosedModel(PlantModel):
         """See PlantModel."""
         if q.ndim == 1 or isinstance(frame, str):
             return super().calc_frame_pose(q, frame)
-        reader, columns = reader_of(self.plant), list(np.moveaxis(q, -1, 0))
-        rotation, origin = frames.pose(reader.tree, reader.place_of(frame), columns)
-        made = np.broadcast_arrays(*quaternion_of(rotation), *origin)
-        return np.stack(made, axis=-1)
+        reader = reader_of(self.plant)
+        rotation, origin = frames.pose(reader.tree, reader.place_of(frame), q)
+        quaternion = np.stack(quaternion_of(np.moveaxis(rotation, (-2, -1), (0, 1))), axis=-1)
+        return np.concatenate([quaternion, origin], axis=-1)
 
 
 class _Unknown:
@@ -111,7 +110,7 @@ def traced_model(model: PlantModel, own: Any) -> TracedModel:
     unknown: Any = _Unknown()
     return kind(
         plant=unknown, context=unknown, coordinates=model.coordinates, split=model.split,
-        own=list(own), tree=reader_of(model.plant).tree,
+        own=own, tree=reader_of(model.plant).tree,
     )  # fmt: skip
 
 

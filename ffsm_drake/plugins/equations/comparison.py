@@ -31,7 +31,7 @@ def differences(plant: MultibodyPlant) -> dict[str, float]:
     """Return the largest differences in random states, as shares of what is compared."""
     reader, random = Reader(plant), np.random.default_rng(_SEED)
     context = _varied(plant, random)
-    tree, own = reader.tree, reader.parameters(context).tolist()
+    tree, own = reader.tree, reader.parameters(context)
     largest: dict[str, float] = {}
 
     def note(name: str, found: Any, expected: np.ndarray, scale: np.ndarray) -> None:
@@ -43,20 +43,19 @@ def differences(plant: MultibodyPlant) -> dict[str, float]:
         state = np.concatenate([q, v])
         plant.SetPositionsAndVelocities(context, state)
         plant.get_applied_generalized_force_input_port().FixValue(context, force)
-        given = tree, q.tolist()
         H, C = plant.CalcMassMatrix(context), plant.CalcBiasTerm(context)
-        rates = np.array(derivative(*given, v.tolist(), force.tolist(), own))
+        rates = np.array(derivative(tree, q, v, force, own))
         expected = plant.EvalTimeDerivatives(context).CopyToVector()
         (q_rates, v_rates), split = np.split(rates, [q.size]), q.size
         terms = np.abs(H) @ np.abs(v_rates) + np.abs(C) + np.abs(force)  # by row
         note("residual", H @ v_rates, H @ expected[split:], terms)
         note("position_rates", q_rates, expected[:split], np.abs(v).max())
-        note("mass_matrix", mass_matrix(*given, own), H, np.abs(H).max())
-        note("bias", bias(*given, v.tolist(), own), C, np.abs(C).max())
+        note("mass_matrix", mass_matrix(tree, q, own), H, np.abs(H).max())
+        note("bias", bias(tree, q, v, own), C, np.abs(C).max())
         if before.size:
-            errors = tracking_errors(before.tolist(), state.tolist(), split)
+            errors = np.hstack(tracking_errors(before, state, split))
             known = np.hstack(coordinates.tracking_errors(before, state, split))
-            note("errors", [*errors[0], *errors[1]], known, np.abs(known).max())
+            note("errors", errors, known, np.abs(known).max())
         before = state
     return largest
 

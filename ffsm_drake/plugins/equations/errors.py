@@ -9,8 +9,9 @@ the tangents of h / 2 and h / 4 follow from s and c, so that the series of fdlib
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from ffsm_drake.common.so3 import times_conjugate
-from ffsm_drake.plugins.equations.vectors import cross, dot, minus, plus, scaled
 from ffsm_drake.tape.numbers import select, signed, square_root
 
 _TINY = 1e-300  # keeps divisors from zero, and changes no number of any size
@@ -26,35 +27,37 @@ _NEAR = 0.01  # h^2 up to which the weight is a series, whose derivative has no 
 _WEIGHT = (1.0 / 12.0, 1.0 / 180.0, 1.0 / 1890.0, 1.0 / 18900.0, 1.0 / 187110.0)  # in h^2
 
 
-def tracking_errors(
-    desired: Sequence[Any], actual: Sequence[Any], num_positions: int
-) -> tuple[list[Any], list[Any]]:
+def tracking_errors(desired: Any, actual: Any, num_positions: int) -> tuple[Any, Any]:
     """Tracking error and its rate (nv each) from states [q; v] (nq + nv)."""
     split = num_positions
-    c, *axis = times_conjugate(desired[:4], actual[:4])
-    s_square = dot(axis, axis)
+    c, *parts = times_conjugate(desired[:4], actual[:4])
+    axis = np.stack(parts)
+    s_square = axis @ axis
     s, norm, near = square_root(s_square + _TINY), square_root(s_square + c * c), signed(c, 1.0)
     tangent = s * (1.0 / (near + norm))  # tan(h / 2)
     tangent = tangent * (1.0 / (1.0 + square_root(1.0 + tangent * tangent)))  # tan(h / 4)
-    square, series = tangent * tangent, _SERIES[-1]
-    for each in reversed(_SERIES[:-1]):
-        series = each + square * series
-    half = 4.0 * (tangent - tangent * (square * series))
-    e = scaled(2.0 * half * (1.0 / s) * signed(1.0, c), axis)
+    square = tangent * tangent
+    half = 4.0 * (tangent - tangent * (square * _polynomial(_SERIES, square)))
+    e = 2.0 * half * (1.0 / s) * signed(1.0, c) * axis
     w_d, w = desired[split : split + 3], actual[split : split + 3]
-    difference, half_sum = minus(w_d, w), scaled(0.5, plus(w_d, w))
+    difference, half_sum = w_d - w, 0.5 * (w_d + w)
     weight = _weight(half * half, half * near * (1.0 / s))
-    turned = minus(scaled(weight, cross(e, difference)), half_sum)
-    rate = plus(difference, cross(e, turned))
+    rate = difference + np.cross(e, weight * np.cross(e, difference) - half_sum)
+    others = desired - actual
     return (
-        [*e, *minus(desired[4:split], actual[4:split])],
-        [*rate, *minus(desired[split + 3 :], actual[split + 3 :])],
+        np.concatenate([e, others[4:split]]),
+        np.concatenate([rate, others[split + 3 :]]),
     )
+
+
+def _polynomial(coefficients: Sequence[float], x: Any) -> Any:
+    total: Any = coefficients[-1]
+    for each in reversed(coefficients[:-1]):
+        total = each + x * total
+    return total
 
 
 def _weight(square: Any, h_cot_h: Any) -> Any:
     """(1 - h cot(h)) / (4 h^2)."""
-    series = _WEIGHT[-1]
-    for each in reversed(_WEIGHT[:-1]):
-        series = each + square * series
+    series = _polynomial(_WEIGHT, square)
     return select(square < _NEAR, series, (1.0 - h_cot_h) * (1.0 / (4.0 * square)))

@@ -28,6 +28,9 @@ from ffsm_drake.plugins.equations.tree import Reader
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.tape.arrays import inputs
+from ffsm_drake.tape.numbers import Tape
+from ffsm_drake.tape.programs import Program
 
 _BASE = slice(0, NUM_BASE_VELOCITIES)
 _STEP = 1e-30  # complex step: its truncation error is below rounding
@@ -79,7 +82,15 @@ class InverseDynamics:
             reader = Reader(model.plant)
         except NotCovered as error:
             raise ModelError(f"the motion cannot be planned: {error}") from error
-        self._tree, self._own = reader.tree, reader.parameters(model.context).tolist()
+        self._tree = tree = reader.tree
+        self._own = reader.parameters(model.context)
+        tape, nv = Tape(), tree.num_velocities
+        joints, v, a = (
+            inputs(tape, name, (size,))
+            for name, size in (("joints", nv - NUM_BASE_VELOCITIES), ("v", nv), ("a", nv))
+        )
+        q = np.concatenate([_AT_ORIGIN, joints])
+        self._program = Program(tape, inverse_dynamics(tree, q, v, a, self._own))
         self._first = first.matrix()
 
     @property
@@ -96,11 +107,13 @@ class InverseDynamics:
         base = np.array([[w, rate[3:6]], [alpha, acceleration[3:6]]])
         v, a = np.einsum("jin,abjn->abin", R_WB, base).reshape(2, NUM_BASE_VELOCITIES, -1)
         # in the base's axes, as if it were the world's
-        found = inverse_dynamics(
-            tree, [*_AT_ORIGIN, *z[joints]], [*v, *rate[joints]], [*a, *acceleration[joints]], own
+        found = self._program.run(
+            {"joints": z[joints], "v": [*v, *rate[joints]], "a": [*a, *acceleration[joints]]}
         )
         for body, link in enumerate(tree.links, start=1):
-            found[link.velocity] += own[tree.joint_rows(body)][0] * rate[link.velocity]
+            found[link.velocity] = (
+                found[link.velocity] + own[tree.joint_rows(body)][0] * rate[link.velocity]
+            )
         tau = np.array(found)
         on_base = tau[:NUM_BASE_VELOCITIES].reshape(2, 3, -1)
         tau[:NUM_BASE_VELOCITIES] = np.einsum("ijn,ajn->ain", R_WB, on_base).reshape(6, -1)

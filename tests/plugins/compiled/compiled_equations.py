@@ -8,6 +8,7 @@ from ffsm_drake.plugins.compiled.code import declarations, of_lanes
 from ffsm_drake.plugins.compiled.compiling import Code, registers
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.equations import equations
+from ffsm_drake.tape.arrays import inputs
 from ffsm_drake.tape.numbers import Tape
 
 INPUTS = {
@@ -19,7 +20,9 @@ def text_of(name, of, tree):
     """The LLVM text of an equation."""
     tape, sizes = Tape(), {"q": tree.num_positions, "own": tree.num_parameters}
     given = {each: sizes.get(each, tree.num_velocities) for each in INPUTS[name]}
-    found = getattr(equations, name)(tree, *(tape.inputs(*each) for each in given.items()))
+    found = getattr(equations, name)(
+        tree, *(inputs(tape, name, (size,)) for name, size in given.items())
+    )
     row = [*itertools.chain(*found)] if name == "mass_matrix" else found
     return text_of_traced(of, tape, given, row)
 

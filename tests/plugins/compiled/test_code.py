@@ -132,6 +132,6 @@ def test_compiled_equations_are_those_on_numbers():
         random.normal(size=plant.num_positions()),
         reader.parameters(plant.CreateDefaultContext()),
     )
-    expected = np.ravel(mass_matrix(reader.tree, q.tolist(), own.tolist()))
+    expected = np.ravel(mass_matrix(reader.tree, q, own))
     found = code_of("mass_matrix", reader.tree)(q[None], own[None])[0]
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)

@@ -90,9 +90,7 @@ def test_tracking_errors_of_any_size_are_those_of_numpy():
     desired[:, :4] = composed(turns, actual[:, :4])
     actual[100] = np.nan
     rows = list(zip(desired, actual, strict=True))
-    found = np.array(
-        [np.hstack(errors.tracking_errors(d.tolist(), a.tolist(), nq)) for d, a in rows]
-    )
+    found = np.array([np.hstack(errors.tracking_errors(*each, nq)) for each in rows])
     expected = np.array([np.hstack(tracking_errors(*each, nq)) for each in rows])
     lengths = np.linalg.norm(expected[:, :3], axis=1)[:, None]
     assert np.isnan(found[100]).all()

@@ -5,6 +5,7 @@ import pytest
 from pydrake.multibody.tree import FrameIndex
 
 from ffsm_drake import load_scenario, make_nominal_plant
+from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.equations import frames
 from ffsm_drake.plugins.equations.tree import Reader
 from ffsm_drake.tape.arrays import traced
@@ -18,13 +19,13 @@ def test_frames_move_as_those_of_drake(name):
         frame = plant.get_frame(FrameIndex(index))
         place, tree = reader.place_of(frame), reader.tree
         q, v = random.normal(size=plant.num_positions()), random.normal(size=plant.num_velocities())
-        rotation, origin = frames.pose(tree, place, q.tolist())
-        given = tree, place, q.tolist()
+        rotation, origin = frames.pose(tree, place, q)
+        given = tree, place, q
         for found, expected in (
             ([*frames.quaternion_of(rotation), *origin], model.calc_frame_pose(q, frame)),
             (frames.jacobian(*given), model.calc_jacobian(q, frame)),
             (
-                frames.bias_acceleration(*given, v.tolist()),
+                frames.bias_acceleration(*given, v),
                 model.calc_bias_acceleration(q, v, frame),
             ),
         ):
@@ -37,7 +38,7 @@ def test_quaternions_of_half_turns(turn):
     for near in (0.0, 1e-9, 1e-3):
         expected = np.array([near * (i != turn) + (i == turn) for i in range(4)])
         expected = expected / np.linalg.norm(expected)
-        found = frames.quaternion_of(frames.quaternion_matrix(expected))
+        found = frames.quaternion_of(matrix_of(expected))
         assert min(np.abs(found - sign * expected).max() for sign in (1.0, -1.0)) < 1e-15
 
 
