@@ -1,6 +1,5 @@
 """``ffsm new`` with sensors, actuators, panels and a grasp: missions that settle when first run."""
 
-import os
 import random
 import re
 import time
@@ -45,22 +44,16 @@ CHOICES = {
     "driven": [None, "all", "base_rotation,joints", "joints"],
 }
 MODELS = Path(__file__).parents[3] / "models" / "urdf"
-# Folder with public arms, which are not part of this repository, and what each is mounted on, kg.
-PUBLIC = Path(os.environ.get("FFSM_PUBLIC_URDFS", "nowhere"))
-PUBLIC_ARMS = {"ur5_robot": 400.0, "panda": 300.0, "kinova": 250.0}
 
 
 def make(folder, name, words):
     """A new scenario of an arm by name."""
-    bus = PUBLIC_ARMS.get(name)
-    urdf = PUBLIC / f"{name}.urdf" if bus else MODELS / f"{name}.urdf"
+    urdf = MODELS / f"{name}.urdf"
     if name in OUTSIDE:
         urdf = folder / f"{name}.urdf"
         urdf.write_text(OUTSIDE[name]())
-    if not urdf.is_file():
-        pytest.skip(f"{urdf.name} is not here")
     directory = folder / f"new_{len(list(folder.iterdir()))}"
-    return new_scenario(urdf, directory, asked=Asked.parsed(**words), bus_mass=bus)
+    return new_scenario(urdf, directory, asked=Asked.parsed(**words))
 
 
 def assert_settles(new):
@@ -94,7 +87,7 @@ def test_peak_forces_are_those_of_the_motion_that_was_written(tmp_path, mass):
     assert new.scenario.reference == scenario.reference
 
 
-SIX = ["servicer", *PUBLIC_ARMS, "six_joints", "seven_joints"]
+SIX = ["servicer", "six_joints", "seven_joints"]
 
 
 @pytest.mark.long

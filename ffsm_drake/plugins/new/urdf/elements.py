@@ -80,6 +80,13 @@ def end_of(joint: Element, role: str) -> str:
     return link
 
 
+def roots_of(root: Element) -> list[str]:
+    """Return the links of a URDF that are no joint's child, without the world."""
+    held = {end_of(joint, "child") for joint in root.findall("joint")}
+    links = map(name_of, root.findall("link"))
+    return [link for link in links if link not in held and link != WORLD]
+
+
 def vector(
     element: Element | None, attribute: str, place: str, default: str = "0 0 0"
 ) -> np.ndarray:

@@ -10,7 +10,7 @@ from pydrake.math import RigidTransform
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.numbers import short
-from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, name_of, origin_of
+from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, name_of, origin_of, roots_of
 from ffsm_drake.plugins.new.urdf.formats.building import (
     add_joint,
     add_link,
@@ -76,8 +76,7 @@ def mount(root: Element, bus: Bus) -> str:
     joints = root.findall("joint")
     name, mount_name = _free(_NAME, links), _free(_MOUNT, [name_of(joint) for joint in joints])
     standing = [joint for joint in joints if end_of(joint, "parent") == WORLD]
-    children = {end_of(joint, "child") for joint in joints}
-    roots = [link for link in links if link not in children and link != WORLD]
+    roots = roots_of(root)
     require(
         len(roots) + bool(standing) == 1,
         f"one link must be the arm's foot, without a parent, not {len(roots)} "
@@ -102,8 +101,7 @@ def _check_is_arm(root: Element) -> None:
     free_base(free)
     joints = free.findall("joint")
     masses = {name_of(link): read_mass(link) for link in free.findall("link")}
-    children = {end_of(joint, "child") for joint in joints}
-    roots = [name for name in masses if name not in children and name != WORLD]
+    roots = roots_of(free)
     if len(roots) != 1 or any(end_of(joint, "parent") == WORLD for joint in joints):
         return
     group, fixed = roots.copy(), [each for each in joints if each.get("type") == "fixed"]

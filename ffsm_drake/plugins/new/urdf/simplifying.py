@@ -17,6 +17,7 @@ from ffsm_drake.plugins.new.urdf.elements import (
     name_of,
     origin_of,
     read_joint,
+    roots_of,
     vector,
 )
 from ffsm_drake.plugins.new.urdf.formats.building import set_origin
@@ -45,8 +46,7 @@ def free_base(root: Element) -> np.ndarray | None:
     """
     joints = root.findall("joint")
     links = {name_of(link): link for link in root.findall("link")}
-    children = {end_of(joint, "child") for joint in joints}
-    for ground in [WORLD, *(name for name in links if name not in children and name != WORLD)]:
+    for ground in (WORLD, *roots_of(root)):
         chain, here = list[Element](), ground
         while len(chain) < len(joints) and not (here in links and read_mass(links[here])):
             onward = [joint for joint in joints if end_of(joint, "parent") == here]
