@@ -287,13 +287,15 @@ class Evaluator:
     def evaluate_batch(self, batch: Batch) -> list[Row]:
         """Return the rows of a batch, as the function ``evaluate`` returns them."""
         start, count = time.perf_counter(), len(batch)
+        if count > 1 and self._spec.engine == DRAKE:
+            return self._one_by_one(batch)
         try:
             with guarded, time_limit(self._spec.time_limit * count):
                 rows = self._rows(batch)
         except (Exception, TimeLimit) as error:
             self._kept.drop()  # a rollout may be half done
             if count > 1:  # alone each has its own limit, and reports an error
-                return [*itertools.chain(*map(self.evaluate_batch, alone(batch)))]
+                return self._one_by_one(batch)
             rows = [failure_row(error)]
         circumstances = {
             "wall_time": (time.perf_counter() - start) / count,
@@ -302,6 +304,9 @@ class Evaluator:
             "software": self._software,
         }
         return [dict.fromkeys(self._columns) | row | circumstances for row in rows]
+
+    def _one_by_one(self, batch: Batch) -> list[Row]:
+        return [row for run in alone(batch) for row in self.evaluate_batch(run)]
 
     def _rows(self, batch: Batch) -> list[Row]:
         results = self._results(batch)

@@ -311,6 +311,7 @@ def spec_from_data(data: Mapping[str, Any]) -> Spec:
         raise CampaignError("cases: is missing; give the number of cases")
     settled = spec.settled.completed(Scenario(tolerance=spec.base["tolerance"]))
     spec = dataclasses.replace(spec, data=data, cases=int(data["cases"]), settled=settled)
+    _check_size(spec)
     _check_names(spec)
     _check_controllers(spec)
     return spec
@@ -348,11 +349,7 @@ def _base(data: Mapping[str, Any], *, folder: Path) -> dict[str, Any]:
     return scenario_to_dict(load_scenario(place, texts))
 
 
-def _check_names(spec: Spec) -> None:
-    """Raise CampaignError unless each value is set once, and known before a rule reads it."""
-    for name in spec.names:
-        if not name.isprintable() or not name:
-            raise CampaignError(f"parameters: the name {name!r} must be printable text")
+def _check_size(spec: Spec) -> None:
     if len(spec.names) > _MOST_VALUES:
         raise CampaignError(
             f"parameters: at most {_MOST_VALUES} values with factors and derived ones, not "
@@ -363,6 +360,13 @@ def _check_names(spec: Spec) -> None:
             f"cases: {spec.cases} cases with {len(spec.distributions)} values are more than "
             f"{_MOST_NUMBERS} numbers"
         )
+
+
+def _check_names(spec: Spec) -> None:
+    """Raise CampaignError unless each value is set once, and known before a rule reads it."""
+    for name in spec.names:
+        if not name.isprintable() or not name:
+            raise CampaignError(f"parameters: the name {name!r} must be printable text")
     keys = (*spec.parameters, *spec.derive)
     if repeated := [name for name in keys if keys.count(name) > 1] or sorted(
         {*keys} & {*spec.factors}

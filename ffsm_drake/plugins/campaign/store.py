@@ -396,40 +396,12 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
         connection = stack.enter_context(
             contextlib.closing(sqlite3.connect(path, timeout=PATIENCE))
         )
-        if connection.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION_ID:
-            raise CampaignError(f"{path}: is not a campaign's database")
-        connection.execute("PRAGMA trusted_schema = OFF")
-        schema = dict(connection.execute("SELECT name, sql FROM sqlite_master"))
-        triggers = "SELECT 1 FROM sqlite_master WHERE type = 'trigger'"
-        foreign = f"{path}: is damaged: its tables are not a campaign's"
-        # reading another view may never end, and a trigger writes
-        if schema.get("campaign") != _NOTES or connection.execute(triggers).fetchone():
-            raise CampaignError(foreign)
-        problem = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
-        if problem != "ok":
-            raise CampaignError(f"{path}: is damaged: {' '.join(problem.split())}")
-        notes = dict(connection.execute("SELECT key, value FROM campaign"))
-        if notes.get("format") != str(FORMAT):
-            raise CampaignError(
-                f"{path}: format {notes.get('format')} is not the supported {FORMAT}"
-            )
+        store = _checked_store(connection, path)
         if writing:
             connection.execute("PRAGMA journal_mode = WAL")
             connection.execute("PRAGMA synchronous = NORMAL")
             connection.execute("BEGIN IMMEDIATE")  # fails where another program holds it
             connection.rollback()
-        try:
-            spec = spec_from_json(notes["specification"], path.parent)
-            store = Store(connection, path, spec, Shard.parse(notes.get("shard", str(Shard()))))
-        except (
-            LookupError, TypeError, AttributeError, ValueError, RecursionError, FfsmError,
-        ) as error:  # fmt: skip
-            raise CampaignError(
-                f"{path}: is damaged: it holds no usable specification: {one_line(error)}"
-            ) from error
-        if any(schema.get(name) != sql for name, sql in _schema(spec).items()):
-            raise CampaignError(foreign)
-        store.check()
         try:
             yield store
         finally:
@@ -438,6 +410,38 @@ def open_store(path: Path, *, writing: bool = False) -> Iterator[Store]:
                 with contextlib.suppress(sqlite3.Error):
                     connection.execute("PRAGMA busy_timeout = 0")
                     connection.execute("PRAGMA journal_mode = DELETE")
+
+
+def _checked_store(connection: sqlite3.Connection, path: Path) -> Store:
+    """Return the campaign of a database. Raises CampaignError: it is none, or damaged."""
+    if connection.execute("PRAGMA application_id").fetchone()[0] != _APPLICATION_ID:
+        raise CampaignError(f"{path}: is not a campaign's database")
+    connection.execute("PRAGMA trusted_schema = OFF")
+    schema = dict(connection.execute("SELECT name, sql FROM sqlite_master"))
+    triggers = "SELECT 1 FROM sqlite_master WHERE type = 'trigger'"
+    foreign = f"{path}: is damaged: its tables are not a campaign's"
+    # reading another view may never end, and a trigger writes
+    if schema.get("campaign") != _NOTES or connection.execute(triggers).fetchone():
+        raise CampaignError(foreign)
+    problem = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+    if problem != "ok":
+        raise CampaignError(f"{path}: is damaged: {' '.join(problem.split())}")
+    notes = dict(connection.execute("SELECT key, value FROM campaign"))
+    if notes.get("format") != str(FORMAT):
+        raise CampaignError(f"{path}: format {notes.get('format')} is not the supported {FORMAT}")
+    try:
+        spec = spec_from_json(notes["specification"], path.parent)
+        store = Store(connection, path, spec, Shard.parse(notes.get("shard", str(Shard()))))
+    except (
+        LookupError, TypeError, AttributeError, ValueError, RecursionError, FfsmError,
+    ) as error:  # fmt: skip
+        raise CampaignError(
+            f"{path}: is damaged: it holds no usable specification: {one_line(error)}"
+        ) from error
+    if any(schema.get(name) != sql for name, sql in _schema(spec).items()):
+        raise CampaignError(foreign)
+    store.check()
+    return store
 
 
 def _schema(spec: Spec) -> dict[str, str]:

@@ -6,10 +6,11 @@ from pathlib import Path
 import click
 
 from ffsm_drake.cli.common import out_option
+from ffsm_drake.plugins.paper import PARTS
 
 
 @click.command()
-@click.argument("what", type=click.Choice(("table2", "fig3", "fig4", "fig5", "all")), default="all")
+@click.argument("what", type=click.Choice(PARTS), default="all")
 @out_option(default=Path("out/reproduction"), show_default=True)
 @click.option(
     "--seeds",

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from ffsm_drake.plugins.benchmark.missions import bounds_of, load_mission
 from ffsm_drake.plugins.capture.contact import planned_contact
@@ -32,15 +33,7 @@ def matrix(inertia) -> np.ndarray:
 
 
 def turned(axis, angle) -> np.ndarray:
-    """Rotation about an axis, by Rodrigues' formula."""
-    x, y, z = axis
-    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * k @ k
-
-
-def cross(vector) -> np.ndarray:
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return Rotation.from_rotvec(np.multiply(angle, axis)).as_matrix()
 
 
 def base_rate(q, rates, links) -> np.ndarray:
@@ -59,7 +52,7 @@ def base_rate(q, rates, links) -> np.ndarray:
         R = R @ turned(fixed, 0.5 * np.pi * quarters)
         turn = turn + R @ axis * rate
         R = R @ turned(axis, angle)
-        spin, arm = R @ matrix(inertia) @ R.T, cross(place)
+        spin, arm = R @ matrix(inertia) @ R.T, np.cross(place, np.eye(3)).T
         total += np.block([[spin - mass * arm @ arm, mass * arm], [-mass * arm, mass * np.eye(3)]])
         relative += np.r_[spin @ turn + mass * np.cross(place, velocity), mass * velocity]
     return -np.linalg.solve(total, relative)[:3]
@@ -67,12 +60,11 @@ def base_rate(q, rates, links) -> np.ndarray:
 
 def turn_of_base(links, *, steps=400) -> float:
     """Angle by which the base has turned when the arm has reached REACHED, rad."""
-    R = np.eye(3)
+    R = Rotation.identity()
     for step in range(steps):
         rate = base_rate((step + 0.5) / steps * REACHED, REACHED / steps, links)
-        size = np.linalg.norm(rate)
-        R = R @ turned(rate / size, size)
-    return float(np.arccos(0.5 * (np.trace(R) - 1.0)))
+        R = R * Rotation.from_rotvec(rate)
+    return float(R.magnitude())
 
 
 def repaired():
