@@ -200,6 +200,8 @@ SECTIONS = {
     "controller run": functools.partial(controller, command="run"),
     "controller stability": functools.partial(controller, command="stability"),
     "module": module,
+    "directives": directives,
+    "manifest": manifest,
 }
 
 
@@ -215,8 +217,6 @@ BOMB = "_a: &a [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n" + "".join(
     f"_{b}: &{b} [{', '.join([f'*{a}'] * 10)}]\n"
     for a, b in zip("abcdefgh", "bcdefghi", strict=True)
 )
-ADD = "directives:\n- add_model: {name: servicer, file: package://ffsm_drake/urdf/servicer.urdf}\n"
-ADD_DEBRIS = "- add_model: {name: debris, file: package://ffsm_drake/urdf/debris.urdf}\n"
 SERVICER = URDFS["servicer.urdf"]
 BASE_LINK = SERVICER[SERVICER.index('<link name="base">') : SERVICER.index('  <link name="arm">')]
 STRAY_LINK = """<link name="stray"><inertial><mass value="1"/>
@@ -342,30 +342,6 @@ TABLE = [
         visual("huge-mesh", '<mesh filename="m.obj"/>', "m.obj: has 1e+12 bytes; at most 5e+08"),
         prepare=lambda at: huge(at / "m.obj"),
     ),
-    directives(
-        "directives-of-a-device",
-        ADD.replace("package://ffsm_drake/urdf/servicer.urdf", "/dev/zero"),
-        "/dev/zero: is not a regular file",
-    ),
-    directives("directives-not-yaml", "directives: [", "mine.dmd.yaml"),
-    directives("directives-unknown-key", "directives:\n- add_mdl: {name: x}\n", "add_mdl"),
-    directives("directives-unknown-model", ADD.replace("servicer.urdf", "none.urdf"), "none.urdf"),
-    directives(
-        "directives-unknown-frame",
-        ADD + ADD_DEBRIS + "- add_weld: {parent: servicer::hand, child: debris::grasp}\n",
-        "hand",
-    ),
-    directives(
-        "directives-welded-to-world",
-        ADD + "- add_weld: {parent: world, child: servicer::base}\n",
-        "no floating base",
-    ),
-    directives(
-        "directives-two-bases",
-        ADD + ADD_DEBRIS,
-        "must have one floating base, not 2 (base, debris)",
-    ),
-    directives("directives-name-twice", ADD + ADD.replace("directives:\n", ""), "servicer"),
     # Run directories.
     record(
         "no-record",
@@ -502,25 +478,13 @@ TABLE = [
         lambda data: data.drop_attrs(),
         "run/record.nc: lacks the attribute sample_time",
     ),
-    manifest(
-        "manifest-not-json",
-        "{",
-        "run/manifest.json: is not a run's manifest",
-        "JSONDecodeError",
-    ),
     manifest("manifest-not-utf-8", b"\xff", "run/manifest.json: is not a run's manifest"),
-    manifest(
-        "manifest-is-a-list",
-        "[1]",
-        "is not a run's manifest: must be an object, not list",
-    ),
     manifest(
         "manifest-too-deep",
         "[" * 100_000,
         "is not a run's manifest",
         "RecursionError",
     ),
-    manifest("manifest-empty", "{}", "is not a run's manifest: lacks 'format'"),
     manifest(
         "other-format",
         lambda data: data.update(format=9),

@@ -115,27 +115,6 @@ def test_compare_overlays_and_ranks(tmp_path, monkeypatch):
     assert itae == sorted(itae)
 
 
-@pytest.mark.smoke
-def test_a_table_of_no_known_format_is_refused_before_the_runs():
-    result = ffsm("compare", "--table", "laws.xlsx")
-    assert result.exit_code == 2
-    assert "must end in .tex or .csv, not 'laws.xlsx'" in result.output
-
-
-@pytest.mark.smoke
-def test_plot_refuses_an_unknown_format():
-    result = ffsm("plot", "out", "--format", "pdf,eps")
-    assert result.exit_code == 2
-    assert "'eps' is unknown; give one or several of png, pdf, svg" in result.output
-
-
-@pytest.mark.smoke
-def test_compare_refuses_the_same_twice():
-    result = ffsm("compare", "-c", "tdc", "-c", "tdc")
-    assert result.exit_code == 2
-    assert "--controller tdc: is given more than once" in result.output
-
-
 @pytest.mark.long
 @pytest.mark.usefixtures("rough_pictures")
 def test_plot_overlays_runs(run, tmp_path):

@@ -1,7 +1,6 @@
 """Settings: one declaration of a field, and what is derived from it."""
 
 import dataclasses
-import math
 from typing import Any
 
 import pytest
@@ -84,25 +83,14 @@ def test_instances_share_no_default():
     ("data", "expected"),
     [
         ({"noice": 1}, "noice: unknown key; valid here: noise, delay, mode, axis, share, filter"),
-        ({"noice": 1}, "did you mean 'noise'?"),
         ({"cache": {"a": 1}}, "cache: unknown key"),
-        ({"share": "much"}, "share: must be a number, not 'much'"),
         ({"share": 1}, "share: must be from 0 to below 1, not 1"),
-        ({"share": math.nan}, "share: must be finite, not nan"),
         ({"noise": {"joints": -1}}, "noise.joints: must be >= 0, not -1"),
-        ({"noise": [1, 2]}, "noise.all: must be a number, not [1, 2]"),
-        ({"delay": 0.5}, "delay.all: must be a whole number, not 0.5"),
         ({"delay": 10}, "delay.all: must be from 0 to 9 control samples, not 10"),
-        ({"mode": "filterd"}, "mode: 'filterd' is unknown; choose one of raw, filtered; did you"),
-        ({"axis": [1, 2]}, "axis: must hold 3 values, not 2"),
         ({"axis": [0, 0, 0]}, "axis: must not be zero"),
-        ({"axis": [0, "x", 0]}, "axis[1]: must be a number, not 'x'"),
         ({"filter": {"order": 0}}, "filter.order: must be from 1 to 8, not 0"),
-        ({"filter": 3}, "filter: must be a mapping with keys order, cut_off, not 3"),
-        ({"filters": {"a": {"cut_off": 0}}}, "filters.a.cut_off: must be > 0 Hz, not 0"),
         ({"filters": {key: {} for key in "abc"}}, "filters: must hold at most 2 values, not 3"),
         ({"spare": {"order": 9}}, "spare.order: must be from 1 to 8, not 9"),
-        ([1], "must be a mapping with keys noise"),
     ],
 )
 def test_errors_are_one_clear_line(data, expected):

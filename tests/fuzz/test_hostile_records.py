@@ -1,14 +1,13 @@
 """Records that were changed, with checksums that fit again or not: a result, or one line and exit
 code 2; never a traceback, an abort or a hang, and no result from nonsense.
 
-Inputs run in children forked from a process with one thread, so that an abort in C++ is seen and
-its input named.
+Inputs run in children (``forked``), so that an abort in C++ is seen and its input named.
 """
 
+import functools
 import json
 import os
 import shutil
-import traceback
 from contextlib import suppress
 from pathlib import Path
 
@@ -16,17 +15,14 @@ import numpy as np
 import pytest
 import xarray as xr
 from alone import run_alone
-from children import forked
+from forked import drawn, unclean
 from fuzz_inputs import invoke, mutated_bytes, mutated_data
-from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 from record_tools import sealed
 
 from ffsm_drake import RunRecord, load_scenario, simulate
 from ffsm_drake.runs.reading import SEAL, seal_of
 
-BATCH = 20  # inputs of a child
-SILENCE = 150.0  # s without a word from a child, after which it hangs
 FILES = ("manifest.json", "record.nc", "metrics.json")
 GOOD = {
     "plain": ("postcapture", "duration=0.05"),
@@ -266,68 +262,22 @@ def write_changed(path, changes):
     )
 
 
-def try_inputs(good, inputs, tell):
-    """In a child: try inputs one by one; tell of the beginning and the failure of each."""
-    for number, (base, kind, detail, fits, command) in enumerate(inputs):
-        tell(f"{number}\n")
-        try:
-            refused = apply(good, base, kind, detail, fits)
-            code = invoke(*command, good=(0, 3))
-            assert code == 2 or not refused, f"{command[0]}: exit code {code} for nonsense"
-        except BaseException:
-            tell(f"{number} failed: {traceback.format_exc()}\0")
-            return
-
-
-def in_child(good, inputs):
-    """Run inputs in a forked child. Returns the number that was tried and what went wrong."""
-
-    def quietly(tell):
-        null = os.open(os.devnull, os.O_RDWR)
-        os.dup2(null, 2)  # Drake's own words before an abort
-        try_inputs(good, inputs, tell)
-
-    fork = forked(quietly, silence=SILENCE)
-    begun = [int(line) for line in fork.told.split("\n") if line.isdigit()]
-    last = begun[-1] if begun else 0
-    if fork.death:
-        return last, fork.death
-    if "failed: " in fork.told:
-        return last, fork.told.partition("failed: ")[2]
-    return last, "" if fork.code == 0 and len(begun) == len(inputs) else "ended early"
+def try_record(good, hostile):
+    """In a child: a command reads a changed record, or refuses it with exit code 2."""
+    base, kind, detail, fits, command = hostile
+    refused = apply(good, base, kind, detail, fits)
+    code = invoke(*command, good=(0, 3))
+    assert code == 2 or not refused, f"{command[0]}: exit code {code} for nonsense"
 
 
 def fuzz(good, count):
     """Try so many inputs; all unclean ends together are the failure."""
-    tried, unclean = 0, []
     for name in GOOD:  # so that the children find models and modules
         RunRecord.load(good / name)
-
-    @settings(
-        max_examples=-(-count // BATCH),
-        deadline=None,
-        database=None,
-        derandomize=True,
-        suppress_health_check=list(HealthCheck),
-        phases=[Phase.generate],
-    )
-    @given(st.lists(hostile(good), min_size=BATCH, max_size=BATCH))
-    def batch(inputs):
-        nonlocal tried
-        while inputs:
-            last, problem = in_child(good, inputs)
-            tried += last + 1
-            if problem:
-                base, kind, detail, fits, command = inputs[last]
-                shown = f"{base}, {kind}, checksums {'fit' if fits else 'as they were'}"
-                unclean.append(f"{command}: {shown}: {detail!r:.600}\n{problem[-1500:]}")
-                print(unclean[-1], flush=True)
-            inputs = inputs[last + 1 :]
-        print(f"{tried} inputs, {len(unclean)} unclean ends", flush=True)
-
-    batch()
-    assert not unclean, f"{len(unclean)} of {tried}:\n" + "\n\n".join(unclean[:10])
-    assert tried >= count
+    inputs = drawn(hostile(good), count)
+    found = unclean(inputs, functools.partial(try_record, good))
+    examples = "\n".join(f"{inputs[k]!r:.600}: {text}" for k, text in [*found.items()][:10])
+    assert not found, f"{len(found)} of {len(inputs)}:\n{examples}"
 
 
 @pytest.fixture
@@ -337,7 +287,7 @@ def place(tmp_path, monkeypatch):
 
 @pytest.mark.smoke
 def test_some_records_are_read_or_refused(good, place):
-    run_alone(fuzz, good, BATCH)
+    run_alone(fuzz, good, 16)
 
 
 @pytest.mark.long

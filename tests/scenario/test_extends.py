@@ -59,13 +59,6 @@ def test_a_scenario_is_the_same_however_it_is_divided(folder, name, random):
     assert scenario_to_dict(load_scenario(file)) == data
 
 
-@settings(max_examples=12, deadline=None)
-@given(name=st.sampled_from(sorted(shipped_scenarios())))
-def test_an_empty_extension_changes_nothing(folder, name):
-    found = load_scenario(written(folder, {}, {}, root=name))
-    assert differing_keys(found, load_scenario(name)) == []
-
-
 CHANGES = st.fixed_dictionaries(
     {},
     optional={
@@ -199,23 +192,6 @@ def test_a_circle_is_refused_in_one_line(folder, length, before):
     ) as caught:
         load_scenario(folder / "ring_0.yaml")
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("base", "problem"),
-    [
-        ("flight_sensor", r"extends: flight_sensor: no such scenario; .*did you mean 'flight_sen"),
-        ("none.yaml", r"extends: none\.yaml: no such scenario file"),
-        (3, r"extends: must be a shipped scenario's name or a file, not 3"),
-        ([], r"extends: must be a shipped"),
-        (".", r"extends: \.: is a folder"),
-    ],
-)
-def test_bases_that_are_none(tmp_path, base, problem):
-    file = tmp_path / "mine.yaml"
-    file.write_text(write_yaml({"extends": base}))
-    with pytest.raises(ScenarioError, match=rf"mine\.yaml: {problem}"):
-        load_scenario(file)
 
 
 def test_records_and_printed_scenarios_hold_the_whole(tmp_path):

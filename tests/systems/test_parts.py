@@ -134,24 +134,6 @@ def test_a_line_of_the_registry_makes_it_a_shipped_one(monkeypatch):
     assert user_supplied(own) == {"actuation": "blocks.actuation 'own_actuator:Magnetorquers'"}
 
 
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ("{largest_dipol: 1}", "largest_dipol: unknown key; valid here: largest_dipole, field"),
-        ("{largest_dipole: -1}", "settings.largest_dipole: must be > 0 A m^2, not -1"),
-        ("{largest_dipole: much}", "settings.largest_dipole: must be a number, not 'much'"),
-        ("{field: [0, 0, 0]}", "settings.field: must not be zero"),
-        ("{field: [1, 2]}", "settings.field: must hold 3"),
-    ],
-)
-@pytest.mark.usefixtures("folder")
-def test_its_settings_are_checked_in_one_line(settings, words):
-    block = f'blocks.actuation={{system: "own_actuator:Magnetorquers", settings: {settings}}}'
-    shown = ffsm(f"run flight_sensors -c tdc --set duration=0.1 --set '{block}'", code=2)
-    assert words in shown
-    assert shown.count("\n") == 1
-
-
 class Through(LeafSystem):
     """What is commanded acts; with output ports of given sizes."""
 

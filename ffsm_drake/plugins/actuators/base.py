@@ -180,9 +180,8 @@ class BaseActuators(Sampled):
         if thrusters is not None:
             firing, kept = self._fire(thrusters, asked, memory, rotation, begins=now.phase[0])
             really = thrusters.failing(firing, gain, floor) if self._may_break else firing
-            told[:6], applied[:6] = (
-                _turned_back(each.wrench, rotation) for each in (firing, really)
-            )
+            told[:6] = _turned_back(firing.wrench, rotation)
+            applied[:6] = _turned_back(really.wrench, rotation)
             found = {"thruster_force": really.force, "thruster_open": firing.open_share}
             found["thruster_given"] = firing.given
             told_units.append(firing.force)
@@ -192,10 +191,8 @@ class BaseActuators(Sampled):
             stopped = torques
             if self._may_break:
                 stopped = wheels.stopping(torques, stops, momentum, turning)
-            by_told, by_wheels = (
-                rotation.dot(each.on_base) + missing for each in (torques, stopped)
-            )
-            told[:3] += by_told
+            by_wheels = rotation.dot(stopped.on_base) + missing
+            told[:3] += rotation.dot(torques.on_base) + missing
             applied[:3] += by_wheels
             told_units.append(torques.on_wheels)
             found |= {"wheel_momentum": momentum, "wheel_torque": stopped.motor}

@@ -86,35 +86,23 @@ def _constant(log: Log, axes: Array) -> list[Array]:
     return [np.broadcast_to(axis, (len(log.time), len(axis))) for axis in axes]
 
 
-def realigned(log: Log) -> tuple[str, Array]:
-    """Description of the constant rotation of axes with which the angular velocities agree best
-    with the attitude, and the rotated angular velocities (n, 3), world axes, rad/s.
-    """
-    q, local = log.quaternion, in_body_axes(log.quaternion, log.angular)
-    expected = means(local) * np.diff(log.time)[:, None]
-    turn, _ = Rotation.align_vectors(in_body_axes(q[:-1], turned(log)), expected)
-    vector = about(turn.as_rotvec() * _DEGREES, None, "deg")
-    words = f"its axes are the base axes turned by {vector} (rotation vector)"
-    return words, in_world_axes(q, turn.apply(local))
-
-
 def _of_angular(log: Log) -> Iterator[Mistake]:
-    """Mistakes of a gyro: an offset, a turning frame, turned or scaled axes."""
-    w, axes = log.angular, [*np.moveaxis(log.turns, 2, 0)]
-    along = [axis * (axis * w).sum(axis=1, keepdims=True) for axis in axes]
-    across = [np.cross(w, axis) for axis in axes]
-    words, real = realigned(log)
+    """Mistakes of a gyro: turned or scaled axes, an offset, a turning frame."""
+    q, w, axes = log.quaternion, log.angular, [*np.moveaxis(log.turns, 2, 0)]
+    local, moved = in_body_axes(q, w), in_body_axes(q[:-1], turned(log))
+    turn, _ = Rotation.align_vectors(moved, means(local) * np.diff(log.time)[:, None])
+    vector = about(turn.as_rotvec(degrees=True), None, "deg")
+    change = in_world_axes(q, turn.apply(local)) - w
     yield Mistake(
-        cause="axes", text=words, columns=[areas(log.time, real - w)], changes=[real - w], more=2,
-        least=0.98, most=1.02,
+        cause="axes", text=f"its axes are the base axes turned by {vector} (rotation vector)",
+        columns=[areas(log.time, change)], changes=[change], more=2, least=0.98, most=1.02,
     )  # fmt: skip
+    along = [axis * (axis * w).sum(axis=1, keepdims=True) for axis in axes]
     yield from _mistakes(
         log, "angular",
         ("rate_offset", "a constant rate offset of {0} in base axes", axes, -_DEGREES, "deg/s"),
         ("frame_rate", "relative to a frame that turns at a constant rate of {0} (world axes)",
          _constant(log, np.eye(3)), 1.0, "rad/s"),
-        ("axes", "its axes are turned from the attitude's by {0} (rotation vector, base axes)",
-         across, -_DEGREES, "deg"),
         ("rate_scale", "the attitude changes by more than the rate about each axis: {0}", along,
          100.0, "%"),
     )  # fmt: skip

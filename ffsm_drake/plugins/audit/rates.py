@@ -29,7 +29,6 @@ from ffsm_drake.plugins.audit.motions import (
     Kind,
     mended,
     of_joint,
-    realigned,
     turned,
 )
 
@@ -122,7 +121,8 @@ def _read(usual: Sequence[_Reading], others: Sequence[_Reading], tolerance: floa
             values = getattr(best.log, what) * min(factor, 1.0 / factor, key=abs)
             log = best.log.replace(**{what: values})
             return _Outcome(checks=[fault(kind.name, cause, meaning)], log=log)
-    alike = [each.said for each in read if each.missed < max(3.0 * best.missed, 1e-6)]
+    least = min(max(3.0 * best.missed, 1e-6), _FITS)
+    alike = [each.said for each in read if each.missed < least] or [best.said]
     untold = ", which it cannot distinguish" if len(alike) > 1 else ""
     tried = [dataclasses.replace(best, said=" or ".join(alike) + untold)]
     tried += [x for x in read[1:] if x in usual[:2] and (best.missed > _FITS or x.missed < _FITS)]
@@ -196,8 +196,6 @@ def _attitude(log: Log, tolerance: float) -> _Outcome:
     twice = in_world_axes(log.quaternion, usual[1].log.angular)
     wrong = {said.format("body", "world"): twice,
              said.format("world", "body"): in_body_axes(log.quaternion, log.angular)}  # fmt: skip
-    words, omega = realigned(usual[1].log)
-    wrong[words] = omega
     others += [
         _Reading(kind=ANGULAR, said="", log=log.replace(angular=omega),
                  faults=[fault(ANGULAR.name, "axes", words)])

@@ -20,11 +20,11 @@ import numpy as np
 from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.files import check_regular
 from ffsm_drake.plugins.task_space.tasks import TaskSpace
-from ffsm_drake.scenario import Scenario, controller_key
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, Coordinates
 from ffsm_drake.spacecraft.free_floating import TASK_ROWS
-from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State
-from ffsm_drake.systems.registry import block_names, call_factory, find_factory
+from ffsm_drake.systems.controllers import ControlLaw, Sample, State, make_law
+from ffsm_drake.systems.registry import block_names
 from ffsm_drake.systems.setup import BlockSetup
 
 ACTIONS = ("force", "residual", "setpoint")
@@ -123,13 +123,7 @@ class ActingLaw(ControlLaw):
 
 def inner_law(name: str, setup: BlockSetup) -> ControlLaw:
     """The law of a scenario that actions change. Raises BlockError: it is no law."""
-    factory, key = (
-        find_factory("controller", name, python_path=setup.scenario.python_path),
-        controller_key(name),
-    )
-    settings = setup.scenario.controllers.get(key, {})
-    own = dataclasses.replace(setup, name=key, settings=settings)
-    inner = call_factory(factory, own, place=name)
+    inner = make_law(dataclasses.replace(setup.scenario, controller=name), setup.nominal)
     if not isinstance(inner, ControlLaw):
         raise BlockError(f"{name}: must be a control law")
     return inner

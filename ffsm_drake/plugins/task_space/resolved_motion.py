@@ -15,7 +15,7 @@ chapters 4 and 9; Siciliano and Slotine 1991, doi:10.1109/ICAR.1991.240390.)
 """
 
 import dataclasses
-import itertools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -149,7 +149,10 @@ class ResolvedMotion(MomentumMotion):
         # Inputs of the rates are extrapolated linearly: central differences need no more.
         rate = np.hstack([quaternion_rate(q[:, :4].T, v[:, :3].T).T, v[:, 3:]])
         after, before = (
-            self._resolved(q + h * rate, inputs + h * change).v for h in (_STEP, -_STEP)
+            self._resolved(
+                q + h * rate, [x + h * slope for x, slope in zip(inputs, change, strict=True)]
+            ).v
+            for h in (_STEP, -_STEP)
         )
         return q, v[:, self._driven], (after - before)[:, self._driven] / (2.0 * _STEP)
 
@@ -201,8 +204,9 @@ class ResolvedMotion(MomentumMotion):
             f"and by {sizes[1]} at its end: {why}"
         ]
 
-    def _inputs(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Inputs of the joint rates beside the configuration, (n, .), and their rates of change.
+    def _inputs(self, times: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
+        """Inputs of the joint rates beside the configuration, (n, .) each, and their rates of
+        change.
 
         Pose (quaternion, position) and twist of the frame, driven base velocities, positions and
         rates of the joints' own motion, the gain towards these positions, 1/s, and the fraction of
@@ -230,17 +234,14 @@ class ResolvedMotion(MomentumMotion):
             free = [rest, slow * self._first_rate, rest[:, :1]]
             changing = [rest, slower * self._first_rate, rest[:, :1]]
         return (
-            np.hstack([path[:, :13], v[:, self._base], *free, slow]),
-            np.hstack([turn, path[:, 10:], a[:, self._base], *changing, slower]),
+            [path[:, :7], path[:, 7:13], v[:, self._base], *free, slow],
+            [np.hstack([turn, path[:, 10:13]]), path[:, 13:], a[:, self._base], *changing, slower],
         )
 
-    def _resolved(self, q: np.ndarray, inputs: np.ndarray) -> _Resolved:
-        """Solution in configurations (n, nq) for inputs (n, .)."""
+    def _resolved(self, q: np.ndarray, inputs: Sequence[np.ndarray]) -> _Resolved:
+        """Solution in configurations (n, nq) for ``_inputs``."""
         arm, count = self._arm, self._arm.size
-        ends = list(itertools.accumulate([7, 6, self._base.size, count, count, 1, 1], initial=0))
-        pose, twist, base, joints, rate, pull, slow = (
-            inputs[:, a:b] for a, b in itertools.pairwise(ends)
-        )
+        pose, twist, base, joints, rate, pull, slow = inputs
         q = q.copy()
         q[:, :4] /= np.sqrt((q[:, :4] * q[:, :4]).sum(axis=1, keepdims=True))
         stack = self._stack(q)

@@ -93,20 +93,20 @@ def stepped(base, commanded, memory):
     return base.step(inputs, memory, Now(0.0, [1.0]))
 
 
-def torques() -> np.ndarray:
-    """Torques (n, 3) on the bus, one for each control sample, N m."""
+def _sines(size: list[float], frequency: list[float], phase: list[float]) -> np.ndarray:
+    """Sines (n, 3), one row for each control sample."""
     time = np.arange(round(DURATION / PERIOD))[:, None] * PERIOD
-    return np.array([0.6, 0.4, 0.5]) * np.sin(
-        np.array([0.5, 0.9, 1.4]) * time + np.array([0.3, 1.0, 2.0])
-    )
+    return np.array(size) * np.sin(np.array(frequency) * time + np.array(phase))
+
+
+def torques() -> np.ndarray:
+    """Torques (n, 3) on the bus, N m."""
+    return _sines([0.6, 0.4, 0.5], [0.5, 0.9, 1.4], [0.3, 1.0, 2.0])
 
 
 def forces() -> np.ndarray:
-    """Forces (n, 3) on the bus, likewise, N."""
-    time = np.arange(round(DURATION / PERIOD))[:, None] * PERIOD
-    return np.array([3.0, 2.0, 1.5]) * np.sin(
-        np.array([0.7, 0.4, 1.1]) * time + np.array([0.0, 2.0, 4.0])
-    )
+    """Forces (n, 3) on the bus, N."""
+    return _sines([3.0, 2.0, 1.5], [0.7, 0.4, 1.1], [0.0, 2.0, 4.0])
 
 
 class _BusAxes(LeafSystem):

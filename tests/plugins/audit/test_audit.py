@@ -3,7 +3,6 @@ named.
 """
 
 import collections
-import csv
 import dataclasses
 import json
 import os
@@ -13,6 +12,7 @@ from pathlib import Path
 import drawn_logs
 import mujoco
 import numpy as np
+import pandas as pd
 import pytest
 from click.testing import CliRunner
 from drawn_logs import scaled, write
@@ -119,9 +119,9 @@ ARM = Path(__file__).parent / "basilisk_arm.urdf"  # and .csv, which basilisk_ar
 @pytest.fixture(scope="module")
 def basilisk_log():
     """A spacecraft with an arm of three joints, past half a turn, where MRPs are switched."""
-    with ARM.with_suffix(".csv").open(newline="") as file:
-        names, *rows = csv.reader(file)
-    return dict(zip(names, np.array(rows, dtype=float).T, strict=True))
+    return {
+        name: column.to_numpy() for name, column in pd.read_csv(ARM.with_suffix(".csv")).items()
+    }
 
 
 def triple(log, name):

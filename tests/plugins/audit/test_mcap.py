@@ -1,12 +1,12 @@
 """Audits of logs in MCAP: exported runs, and messages as other users of ROS 2 record them."""
 
-import csv
 import dataclasses
 import json
 import sys
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -99,13 +99,10 @@ class Recorder:
     """Messages as ROS 2 records them, of the motion in basilisk_arm.py."""
 
     def __init__(self, path, definitions, *, every=1):
-        with ARM.with_suffix(".csv").open(newline="") as file:
-            names, *rows = csv.reader(file)
-        rows = np.array(rows, dtype=float)[::every]
-        log = dict(zip(names, rows.T, strict=True))
-        self.time = log["time"]
+        log = pd.read_csv(ARM.with_suffix(".csv"))[::every]
+        self.time = log["time"].to_numpy()
         self.place, self.speed, mrp, self.omega, self.angles, self.rates, self.torques = (
-            np.array([log[f"{name}_{i}"] for i in range(3)]).T
+            log[[f"{name}_{i}" for i in range(3)]].to_numpy()
             for name in (
                 "r_BN_N", "v_BN_N", "sigma_BN", "omega_BN_B", "theta", "thetaDot", "motorTorque",
             )

@@ -23,6 +23,7 @@ from ffsm_drake.plugins.udp.packets import HAS_NEW, HOLDS, Packet, inputs_of, re
 
 EXTERNAL = "controller=ffsm_drake.plugins.udp.external:External"
 LENGTH = "duration=0.6"
+NO_FORCE = np.zeros(11)
 
 
 @contextlib.contextmanager
@@ -127,66 +128,24 @@ def test_faults_before_the_grasp_stay_in_the_record():
     assert found["refused"] == []
 
 
-def slow_answers(back, ends):
-    """Answers every request, also one that comes again; the first 0.35 s late."""
-    back.settimeout(0.1)
-    while not ends.is_set():
-        with contextlib.suppress(TimeoutError):
-            data, sender = back.recvfrom(65_507)
-            request = read(data)
-            if request.sample == 0 and not ends.late:
-                ends.late = True
-                time.sleep(0.35)
-            force = np.zeros(11)
-            reply = Packet(run=request.run, sample=request.sample, time=0.0, flags=0, values=force)
-            back.sendto(reply.to_bytes(), sender)
-
-
-@pytest.mark.slow
-def test_answers_to_requests_sent_again_are_no_faults():
-    """The first request goes out again while nobody answers."""
-    ends = threading.Event()
-    ends.late = False
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as back:
-        back.bind(("127.0.0.1", 0))
-        thread = threading.Thread(target=slow_answers, args=(back, ends), daemon=True)
-        thread.start()
-        try:
-            given = "duration=0.2", "controllers.External.timeout=5"
-            record = flown(back.getsockname()[1], *given)
-        finally:
-            ends.set()
-            thread.join()
-    assert ends.late
-    assert not any(faults_of(record).values())
-    assert not any("External" in each.sentence for each in record.parts)
-
-
 @contextlib.contextmanager
-def faulty(port):
-    """A relay that loses the reply to sample 10, delays that to 20, doubles that to 30."""
+def between(handle, port=None):
+    """A socket whose packets a thread hands to a function, with a socket that is connected to a
+    pilot's port, and an event that ends it. Gives the socket's port.
+    """
     front, back = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
     front.bind(("127.0.0.1", 0))
-    back.connect(("127.0.0.1", port))
-    back.settimeout(5.0)
+    if port is not None:
+        back.connect(("127.0.0.1", port))
+    for each in (front, back):
+        each.settimeout(0.1)
     ends = threading.Event()
-    front.settimeout(0.1)
 
     def relay():
         while not ends.is_set():
-            try:
+            with contextlib.suppress(TimeoutError):
                 data, sender = front.recvfrom(65_507)
-            except TimeoutError:
-                continue
-            back.send(data)
-            reply = back.recv(65_507)
-            sample = read(reply).sample
-            if sample == 10:
-                continue
-            if sample == 20:
-                time.sleep(0.3)
-            for _ in range(2 if sample == 30 else 1):
-                front.sendto(reply, sender)
+                handle(data, lambda packet, to=sender: front.sendto(packet, to), back, ends)
 
     thread = threading.Thread(target=relay, daemon=True)
     thread.start()
@@ -197,6 +156,43 @@ def faulty(port):
         thread.join()
         front.close()
         back.close()
+
+
+@pytest.mark.slow
+def test_answers_to_requests_sent_again_are_no_faults():
+    """The first request goes out again while nobody answers."""
+    late = []
+
+    def answer(data, send, *_):
+        """Answer every request, also one that comes again; the first 0.35 s late."""
+        request = read(data)
+        if request.sample == 0 and not late:
+            late.append(request)
+            time.sleep(0.35)
+        reply = Packet(run=request.run, sample=request.sample, time=0.0, flags=0, values=NO_FORCE)
+        send(reply.to_bytes())
+
+    with between(answer) as port:
+        record = flown(port, "duration=0.2", "controllers.External.timeout=5")
+    assert late
+    assert not any(faults_of(record).values())
+    assert not any("External" in each.sentence for each in record.parts)
+
+
+def faulty(port):
+    """A relay that loses the reply to sample 10, delays that to 20, doubles that to 30."""
+
+    def relay(data, send, back, _):
+        back.settimeout(5.0)
+        back.send(data)
+        reply = back.recv(65_507)
+        sample = read(reply).sample
+        if sample == 20:
+            time.sleep(0.3)
+        for _ in range({10: 0, 30: 2}.get(sample, 1)):
+            send(reply)
+
+    return between(relay, port)
 
 
 @pytest.mark.slow
@@ -281,17 +277,11 @@ def test_a_pilot_passes_over_hostile_packets():
     assert undisturbed.refused.total() == 0
 
 
-@contextlib.contextmanager
-def attacked(port, number):
-    """A relay that puts hostile packets before good ones, to both sides."""
-    front, back = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
-    front.bind(("127.0.0.1", 0))
-    back.connect(("127.0.0.1", port))
-    for each in (front, back):
-        each.settimeout(0.1)
-    ends, random, sent = threading.Event(), np.random.default_rng(2), [0, 0]
+def attacked(port, number, sent):
+    """A relay that puts hostile packets before good ones, to both sides, and counts them."""
+    random, before = np.random.default_rng(2), [b"", b""]
 
-    def replies(sample):
+    def replies(sample, back, ends):
         """The next reply to a sample; others answer foreign runs, and replayed requests."""
         while not ends.is_set():
             with contextlib.suppress(TimeoutError):
@@ -300,49 +290,38 @@ def attacked(port, number):
                     return data
         return b""
 
-    def relay():
-        request, reply, sender = b"", b"", None
-        while not ends.is_set():
-            try:
-                data, sender = front.recvfrom(65_507)
-            except TimeoutError:
-                continue
-            for _ in range(number):
-                damaged = hostile(data, request, random, longest=500)
-                if read(damaged) is not None and read(damaged).run != read(data).run:
-                    continue  # the pilot would answer it, and this relay take that for the reply
-                back.send(damaged)
-                sent[0] += 1
-            back.send(data)
-            answer = replies(read(data).sample)
-            for _ in range(number):
-                front.sendto(hostile(answer or data, reply, random, longest=500), sender)
-                sent[1] += 1
-            if answer:
-                front.sendto(answer, sender)
-            request, reply = data, answer
+    def relay(data, send, back, ends):
+        for _ in range(number):
+            damaged = hostile(data, before[0], random, longest=500)
+            if read(damaged) is not None and read(damaged).run != read(data).run:
+                continue  # the pilot would answer it, and this relay take that for the reply
+            back.send(damaged)
+            sent[0] += 1
+        back.send(data)
+        answer = replies(read(data).sample, back, ends)
+        for _ in range(number):
+            send(hostile(answer or data, before[1], random, longest=500))
+            sent[1] += 1
+        if answer:
+            send(answer)
+        before[:] = data, answer
 
-    thread = threading.Thread(target=relay, daemon=True)
-    thread.start()
-    try:
-        yield front.getsockname()[1], sent
-    finally:
-        ends.set()
-        thread.join()
-        front.close()
-        back.close()
+    return between(relay, port)
 
 
 @pytest.mark.slow
 def test_a_run_between_hostile_packets_has_its_bits():
     given = [LENGTH, "controller=tde_aismc"]
     own = simulate(load_scenario("postcapture", given), check_stability=False)
-    number = -(-NUMBER // 61)
-    with pilot("postcapture", "-c", "tde_aismc") as port, attacked(port, number) as relay:
-        record = flown(relay[0], "controllers.External.timeout=20")
+    sent = [0, 0]
+    with (
+        pilot("postcapture", "-c", "tde_aismc") as port,
+        attacked(port, -(-NUMBER // 61), sent) as through,
+    ):
+        record = flown(through, "controllers.External.timeout=20")
     for name in ("position", "velocity", "generalized_force"):
         assert np.array_equal(record.dataset[name], own.dataset[name]), name
-    counted, sent = record.metrics["link"], relay[1]
+    counted = record.metrics["link"]
     assert sent[0] > 0.8 * NUMBER
     assert sent[1] >= NUMBER
     assert (counted["lost"], counted["late"]) == (0, 0)
