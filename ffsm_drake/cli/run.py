@@ -4,8 +4,7 @@ import itertools
 import json
 import math
 import sys
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -126,8 +125,7 @@ def run(
         tell = partial(click.echo, err=True)
         record = load(LIVE, "foxglove", "--foxglove")(scenario, tell=tell)
     else:
-        with _kept(directory, before):
-            record = _simulate(scenario, engine)
+        record = _simulate(scenario, directory, before, engine)
     directory = _saved(record, directory, before)
     code = _finish([record], directory, as_json=as_json, report=report, require=require)
     if first is not None:
@@ -203,8 +201,8 @@ def compare(
     before = [record_stamp(directory / folder) for folder in folders]
     records: list[RunRecord] = []
     for chosen, folder, old in zip(scenarios, folders, before, strict=True):
-        with located_errors(scenario, overrides), _kept(directory / folder, old):
-            record = _simulate(chosen)
+        with located_errors(scenario, overrides):
+            record = _simulate(chosen, directory / folder, old)
         _saved(record, directory / folder, old)
         records.append(record)
         if record.outcome.status == "interrupted":
@@ -311,14 +309,17 @@ def _saved(record: "RunRecord", directory: Path, before: Any) -> Path:
     return place
 
 
-@contextmanager
-def _kept(directory: Path, before: Any) -> Iterator[None]:
-    """Save the record of a run in which a user-supplied block fails, up to then."""
+def _simulate(
+    scenario: "Scenario", directory: Path, before: Any, engine: str = "drake"
+) -> "RunRecord":
+    """Return a run's record; of a run in which a user-supplied block fails, save it up to then."""
     from ffsm_drake.common.errors import BlockError
     from ffsm_drake.runs.reading import REPORT_FILE
+    from ffsm_drake.runs.simulate import simulate
 
+    progress = RunProgress(scenario.controller)
     try:
-        yield
+        record = simulate(scenario, progress=progress, engine=engine)
     except BlockError as error:
         if error.record is not None:
             directory = _saved(error.record, directory, before)
@@ -326,13 +327,6 @@ def _kept(directory: Path, before: Any) -> Iterator[None]:
             end = error.record.outcome.time
             click.echo(f"the record up to t = {end:.2f} s is in {directory}", err=True)
         raise
-
-
-def _simulate(scenario: "Scenario", engine: str = "drake") -> "RunRecord":
-    from ffsm_drake.runs.simulate import simulate
-
-    progress = RunProgress(scenario.controller)
-    record = simulate(scenario, progress=progress, engine=engine)
     progress.close(record)
     return record
 

@@ -147,11 +147,10 @@ def replay(
 
     file = out or run / "recording.html"
     record = RunRecord.load(run)
-    if not live:
-        check_writable(file.parent)
     if live:
         show = load(LIVE, "replay", "--live")
         show(record, speed=speed, ghost=ghost, path=path, forces=forces, open_browser=True)
         return
+    check_writable(file.parent)
     write_recording(record, file, speed=speed, ghost=ghost, path=path, forces=forces)
     click.echo(f"Written to {file}")

@@ -197,11 +197,9 @@ class Interrupts:
     def _clear(self) -> None:
         """Kill the processes below, and remove what is unfinished."""
         kill_below(self._pid, but=self.spared)
-        for path, empty in list(self._left.items()):
-            if not empty:
-                _remove(path)
-        folders = [path for path, empty in self._left.items() if empty]
-        _remove_empty(sorted(folders, key=lambda path: len(path.parts), reverse=True))
+        left = [*self._left.items()]  # empty ones last, innermost first
+        for path, empty in sorted(left, key=lambda each: (each[1], -len(each[0].parts))):
+            _remove(path, empty=empty)
 
 
 def _say(line: str) -> None:
@@ -268,8 +266,12 @@ def end_at_once() -> None:
             signal.signal(number, signal.SIG_DFL)
 
 
-def current() -> Interrupts | None:
-    """Return the handler of this process, or None."""
+def current() -> Interrupts:
+    """Return the handler of this process, or one that nothing calls."""
+    return _installed() or Interrupts()
+
+
+def _installed() -> Interrupts | None:
     for number in SIGNALS:
         if isinstance(handler := signal.getsignal(number), Interrupts):
             return handler
@@ -278,27 +280,27 @@ def current() -> Interrupts | None:
 
 def go_on_by(*words: str) -> None:
     """Name, in the last line of an interrupted process, the command that goes on."""
-    if (interrupts := current()) is not None:
-        interrupts.words = list(words)
-        interrupts.tell(b"!", "\n".join(words))
+    interrupts = current()
+    interrupts.words = list(words)
+    interrupts.tell(b"!", "\n".join(words))
 
 
 def spare(pid: int) -> None:
     """Kill a process below this one not."""
-    if (interrupts := current()) is not None:
-        interrupts.spared.add(pid)
-        interrupts.tell(b"=", str(pid))
+    interrupts = current()
+    interrupts.spared.add(pid)
+    interrupts.tell(b"=", str(pid))
 
 
 def last_words(how: str) -> str:
     """Return the last line of an interrupted process."""
-    return (current() or Interrupts()).last_words(how)
+    return current().last_words(how)
 
 
 @contextlib.contextmanager
 def writing() -> "Iterator[None]":
     """Give the block, which writes a result after a signal, more time than GRACE."""
-    interrupts = current() or Interrupts()
+    interrupts = current()
     interrupts.tell(b">", str(_WRITING))
     try:
         yield
@@ -308,15 +310,14 @@ def writing() -> "Iterator[None]":
 
 def exit_code() -> int:
     """Exit code of an interrupted process: 143 after SIGTERM, 129 after SIGHUP, else 130."""
-    interrupts = current()
-    return 128 + (signal.SIGINT if interrupts is None else interrupts.number or signal.SIGINT)
+    return 128 + (current().number or signal.SIGINT)
 
 
 def from_keyboard(error: BaseException) -> bool:
     """True for a KeyboardInterrupt from a signal, false for one raised by code."""
     if not isinstance(error, KeyboardInterrupt):
         return False
-    if (interrupts := current()) is not None:
+    if (interrupts := _installed()) is not None:
         return interrupts.number != 0
     from opcode import opmap
 
@@ -337,7 +338,7 @@ def interruptible() -> "Iterator[Interrupts]":
 
     Yields the handler, which keeps the signal's number if the exception is lost.
     """
-    interrupts = current() or Interrupts()
+    interrupts = current()
     before, interrupts.raises = interrupts.raises, True
     try:
         yield interrupts
@@ -351,7 +352,7 @@ def stopping(stop: "Callable[[], None]") -> "Iterator[None]":
 
     Without ``handle_signals`` the second raises KeyboardInterrupt.
     """
-    interrupts, before = current(), {}
+    interrupts, before = _installed(), {}
     if interrupts is None:
         interrupts = _Lent()
         heard = [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
@@ -375,7 +376,7 @@ class _Lent(Interrupts):
 @contextlib.contextmanager
 def undisturbed() -> "Iterator[None]":
     """Defer these signals to the end of the block."""
-    interrupts = current() or Interrupts()
+    interrupts = current()
     before, interrupts.waits = interrupts.waits, True
     try:
         yield
@@ -385,41 +386,35 @@ def undisturbed() -> "Iterator[None]":
             interrupts.act()
 
 
-@contextlib.contextmanager
-def unfinished(path: "Path") -> "Iterator[None]":
+def unfinished(path: "Path") -> "contextlib.AbstractContextManager[None]":
     """Remove a temporary file or folder after the block, however it ends."""
-    interrupts = current() or Interrupts()
-    interrupts.leave_none([path])
-    try:
-        yield
-    finally:
-        _remove(path)
-        interrupts.keep([path])
+    return _removing([path], empty=False)
+
+
+def unused(folders: "list[Path]") -> "contextlib.AbstractContextManager[None]":
+    """Remove those of the folders, innermost first, that are there and empty after the block."""
+    return _removing(folders, empty=True)
 
 
 @contextlib.contextmanager
-def unused(folders: "list[Path]") -> "Iterator[None]":
-    """Remove those of the folders, innermost first, that are there and empty after the block."""
-    interrupts = current() or Interrupts()
-    interrupts.leave_none(folders, empty=True)
+def _removing(paths: "list[Path]", *, empty: bool) -> "Iterator[None]":
+    interrupts = current()
+    interrupts.leave_none(paths, empty=empty)
     try:
         yield
     finally:
-        _remove_empty(folders)
-        interrupts.keep(folders)
+        for path in paths:
+            _remove(path, empty=empty)
+        interrupts.keep(paths)
 
 
-def _remove_empty(folders: "list[Path]") -> None:
-    for folder in folders:
-        with contextlib.suppress(OSError):
-            folder.rmdir()
-
-
-def _remove(path: "Path") -> None:
+def _remove(path: "Path", *, empty: bool) -> None:
     import shutil
 
     with contextlib.suppress(OSError):
-        if path.is_dir() and not path.is_symlink():
+        if empty:
+            path.rmdir()
+        elif path.is_dir() and not path.is_symlink():
             shutil.rmtree(path, ignore_errors=True)
         else:
             path.unlink()

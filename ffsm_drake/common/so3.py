@@ -192,9 +192,8 @@ def attitude_motion(
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a x b for arrays (3, ...)."""
-    return np.stack(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
+    found: np.ndarray = a[_NEXT] * b[_LAST] - a[_LAST] * b[_NEXT]
+    return found
 
 
 def cross_of(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -298,8 +297,13 @@ def in_body_axes(quaternions: np.ndarray, vectors: np.ndarray) -> np.ndarray:
 
 def turn_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Rotation vectors (..., 3) d, in the first's axes, with R(second) = R(first) exp([d]x)."""
-    turn = composed(first * [1.0, -1.0, -1.0, -1.0], second)
-    turn = np.where(turn[..., :1] < 0.0, -turn, turn)
+    return vector_of(composed(first * [1.0, -1.0, -1.0, -1.0], second))
+
+
+def vector_of(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation vectors (..., 3) of quaternions (..., 4), of the shorter rotation, rad."""
+    turn = np.where(quaternion[..., :1] < 0.0, -quaternion, quaternion)
     sine = np.linalg.norm(turn[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, turn[..., :1])
-    return turn[..., 1:] * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)
+    found: np.ndarray = turn[..., 1:] * (angle / np.maximum(sine, 1e-300))
+    return found

@@ -388,34 +388,34 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
         cause = "TypeError: its __init__ must call super().__init__() first"
         raise BlockError(f"{place} cannot be built: {cause}") from None
     size = _sizes(coordinates)
-    for kind, required, optional in (
-        ("input", ports.inputs, ports.optional_inputs),
-        ("output", ports.outputs, ports.optional_outputs),
+    known = {**ports.inputs, **ports.optional_inputs}
+    for index in range(system.num_input_ports()):
+        if (name := system.get_input_port(index).get_name()) not in known:  # unconnected
+            raise BlockError(f"{place}: unknown input port '{name}'; known: {choices(name, known)}")
+    for kind, required, words, has, port_of in (
+        ("input", ports.inputs, known, system.HasInputPort, system.GetInputPort),
+        (
+            "output",
+            ports.outputs,
+            {**ports.outputs, **ports.optional_outputs},
+            system.HasOutputPort,
+            system.GetOutputPort,
+        ),
     ):
-        known = {**required, **optional}
-        count = system.num_input_ports() if kind == "input" else system.num_output_ports()
-        port_at = system.get_input_port if kind == "input" else system.get_output_port
-        found = {port_at(i).get_name(): port_at(i) for i in range(count)}
-        for name in found:
-            if kind == "input" and name not in known:  # it would stay unconnected
-                known_ones = choices(name, known)
-                raise BlockError(f"{place}: unknown input port '{name}'; known: {known_ones}")
-        for name, meaning in known.items():
-            if name not in found:
+        for name, word in words.items():
+            if not has(name):
                 if name in required:
-                    raise BlockError(
-                        f"{place}: needs an {kind} port '{name}' of size {size[meaning]}"
-                    )
+                    raise BlockError(f"{place}: needs an {kind} port '{name}' of size {size[word]}")
                 continue
-            if meaning in size and found[name].size() != size[meaning]:
+            port = port_of(name)
+            if port.size() != size.get(word, port.size()):
                 raise BlockError(
-                    f"{place}: {kind} port '{name}' must have size {size[meaning]}, not "
-                    f"{found[name].size()}"
+                    f"{place}: {kind} port '{name}' must have size {size[word]}, not {port.size()}"
                 )
             if (
                 kind == "output"
                 and ports.held
-                and system.HasDirectFeedthrough(int(found[name].get_index()))
+                and system.HasDirectFeedthrough(int(port.get_index()))
             ):
                 raise BlockError(
                     f"{place}: output port '{name}' must not depend directly on an input; use "

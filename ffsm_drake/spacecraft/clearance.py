@@ -258,11 +258,10 @@ class Clearance:
     def _free_pairs(self) -> list[tuple[RigidBody, RigidBody]]:
         """Return the pairs of bodies with shapes that must keep clear of each other."""
         plant = self.plant
-        part_of: dict[BodyIndex, int] = {}  # body -> number of its rigid part
-        for body in self._bodies[1:]:
-            if body.index() not in part_of:
-                number = len(set(part_of.values()))
-                part_of |= {each.index(): number for each in plant.GetBodiesWeldedTo(body)}
+        part_of = {  # body -> the first one of its rigid part
+            body.index(): min(int(each.index()) for each in plant.GetBodiesWeldedTo(body))
+            for body in self._bodies[1:]
+        }
         # rigid part -> the parts beyond its joints
         joints_at: dict[int, list[tuple[int, Joint]]] = {}
         for joint in sorted(joints_of(plant), key=_is_known):

@@ -13,7 +13,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Joint
 
 from ffsm_drake.common.errors import ScenarioError, choices, some
-from ffsm_drake.common.so3 import rotation_error, rotation_error_rate, times_conjugate
+from ffsm_drake.common.so3 import rotation_error, rotation_error_rate, times_conjugate, vector_of
 
 BASE_ROTATION = ("base_rotation_x", "base_rotation_y", "base_rotation_z")
 BASE_POSITION = ("base_position_x", "base_position_y", "base_position_z")
@@ -242,9 +242,5 @@ def tracking_errors(
 
 def position_errors(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
     """``position_error`` of many configurations at once: (n, nq) each -> (n, nv)."""
-    ew, *vector = times_conjugate(q_d[:, :4].T, q[:, :4].T)
-    axis = np.stack(vector, axis=1)  # axis of the shorter rotation
-    sine = np.sqrt((axis * axis).sum(axis=1))
-    angle = np.where(ew < 0.0, -2.0, 2.0) * np.arctan2(sine, np.abs(ew))
-    factor = np.divide(angle, sine, out=np.zeros_like(sine), where=sine > 0.0)
-    return np.hstack([factor[:, None] * axis, q_d[:, 4:] - q[:, 4:]])
+    turn = np.stack(times_conjugate(q_d[:, :4].T, q[:, :4].T), axis=1)
+    return np.hstack([vector_of(turn), q_d[:, 4:] - q[:, 4:]])

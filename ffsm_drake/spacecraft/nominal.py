@@ -201,7 +201,7 @@ class PlantModel:
 
     def calc_inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the force H a + C (..., nv) that gives accelerations a (..., nv), N m and N."""
-        return (self.calc_mass_matrix(q) @ a[..., None])[..., 0] + self.calc_bias(q, v)
+        return applied(self.calc_mass_matrix(q), a) + self.calc_bias(q, v)
 
     def calc_tracking_force(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the actuator force (..., nv) along a motion: inverse dynamics and the joints'

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydrake.multibody.tree import Frame
 
+from ffsm_drake.common.products import times as _times
 from ffsm_drake.common.so3 import quaternion_rate
 from ffsm_drake.plugins.task_space.free_motion import MomentumMotion
 from ffsm_drake.scenario import FrameGoal
@@ -290,8 +291,3 @@ class ResolvedMotion(MomentumMotion):
         v[:, NUM_BASE_VELOCITIES:] = rates
         v[:, stack.undriven] += _times(following, rates)
         return _Resolved(v, smallest, error)
-
-
-def _times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Matrices (n, m, k) times vectors (n, k)."""
-    return (matrix @ vector[..., None])[..., 0]

@@ -378,8 +378,8 @@ class _Search:
 
     def _obstacle(self, scenario: Scenario) -> str:
         """The obstacle to a mission. Raises KeyboardInterrupt, otherwise handled within its run."""
-        alarm, signals = self._predict_mission(scenario), current()
-        if signals is not None and signals.number and not self.ended_by:
+        alarm = self._predict_mission(scenario)
+        if current().number and not self.ended_by:
             raise KeyboardInterrupt
         return alarm
 
