@@ -28,12 +28,11 @@ def without_rounding(matrix: np.ndarray) -> np.ndarray:
 
 def mended_moments(inertia: Element, place: str) -> dict[str, str]:
     """Moments of an <inertia> that change when their rounding is removed (``without_rounding``)."""
-    given, matrix = [number(inertia, key, place, "0") for key in MOMENTS], np.zeros((3, 3))
-    matrix[SIX] = matrix.T[SIX] = given
+    matrix = _matrix_of(inertia, place)
     if not np.isfinite(matrix).all():
         return {}
-    mended = without_rounding(matrix)[SIX].tolist()
-    moments = zip(MOMENTS, given, mended, strict=True)
+    both = (each[SIX].tolist() for each in (matrix, without_rounding(matrix)))
+    moments = zip(MOMENTS, *both, strict=True)
     return {key: repr(value) for key, old, value in moments if value != old}
 
 
@@ -42,7 +41,7 @@ def mend(root: Element) -> bool:
     found = False
     for link in root.findall("link"):
         for inertia in link.findall("inertial/inertia"):
-            moments = mended_moments(inertia, f"link '{link.get('name', '')}'")
+            moments = mended_moments(inertia, _place_of(link))
             inertia.attrib |= moments
             found |= bool(moments)
     return found
@@ -50,17 +49,24 @@ def mend(root: Element) -> bool:
 
 def read_inertia(link: Element) -> np.ndarray:
     """Inertia matrix (3, 3) of a link about its centre of mass, kg m^2; zero without <inertia>."""
-    rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
     inertia = link.find("inertial/inertia")
-    if inertia is None:
-        return np.zeros((3, 3))
-    place = f"link '{link.get('name', '')}'"
-    return np.array([[number(inertia, key, place, "0") for key in row] for row in rows])
+    return _matrix_of(Element("inertia") if inertia is None else inertia, _place_of(link))
+
+
+def _matrix_of(inertia: Element, place: str) -> np.ndarray:
+    """Return the matrix (3, 3) of an <inertia>; zero for what it does not say."""
+    matrix = np.zeros((3, 3))
+    matrix[SIX] = matrix.T[SIX] = [number(inertia, key, place, "0") for key in MOMENTS]
+    return matrix
+
+
+def _place_of(link: Element) -> str:
+    return f"link '{link.get('name', '')}'"
 
 
 def read_mass(link: Element) -> float:
     """Mass of a link, kg; zero without <inertial>. Raises ModelError for a non-physical inertia."""
-    place = f"link '{link.get('name', '')}'"
+    place = _place_of(link)
     mass_element, matrix = link.find("inertial/mass"), read_inertia(link)
     mass = 0.0 if mass_element is None else number(mass_element, "value", place)
     require(0.0 <= mass < math.inf, f"{place}: mass {mass:g} kg must be positive")
