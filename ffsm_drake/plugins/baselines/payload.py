@@ -17,7 +17,6 @@ import numpy as np
 from pydrake.multibody.tree import Frame
 
 from ffsm_drake.common.so3 import cross_of, skew
-from ffsm_drake.scenario import MassProperties, inertia_matrix
 from ffsm_drake.spacecraft.inertia import SIX
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import find_body
@@ -25,20 +24,6 @@ from ffsm_drake.systems.setup import BlockSetup
 
 SIZE = 10  # parameters
 _I, _J = SIX
-
-
-def parameters_of(properties: MassProperties) -> np.ndarray:
-    """theta (10) of mass properties: kg, kg m, kg m^2."""
-    mass, c = properties.mass, np.array(properties.center_of_mass)
-    inertia = inertia_matrix(properties) - mass * skew(c) @ skew(c)
-    return np.concatenate([[mass], mass * c, inertia[_I, _J]])
-
-
-def properties_of(theta: np.ndarray) -> MassProperties:
-    """Mass properties of theta (10), whose mass must not be zero."""
-    mass, c = float(theta[0]), theta[1:4] / theta[0]
-    inertia = theta[4:] + (mass * skew(c) @ skew(c))[_I, _J]
-    return MassProperties(mass=mass, center_of_mass=c.tolist(), inertia=inertia.tolist())
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
