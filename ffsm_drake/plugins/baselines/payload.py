@@ -16,7 +16,7 @@ from typing import Self
 import numpy as np
 from pydrake.multibody.tree import Frame
 
-from ffsm_drake.common.so3 import cross_of, skew
+from ffsm_drake.common.so3 import cross_of, matrix_of, skew
 from ffsm_drake.spacecraft.inertia import SIX
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import find_body
@@ -86,9 +86,7 @@ class Payload:
         return own.T @ np.block([[inertia, first], [-first, theta[0] * np.eye(3)]]) @ own
 
     def _rotation(self, q: np.ndarray) -> np.ndarray:
-        w, x, y, z = self.model.calc_frame_pose(q, self.frame)[:4]
-        vector = np.array([x, y, z])
-        return np.eye(3) + 2.0 * (w * np.eye(3) + skew(vector)) @ skew(vector)
+        return matrix_of(self.model.calc_frame_pose(q, self.frame)[:4])
 
 
 def force_of(
