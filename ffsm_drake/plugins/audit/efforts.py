@@ -3,13 +3,13 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from ffsm_drake.plugins.audit.checks import AMBIGUOUS, UNEXPLAINED, Check, fault
 from ffsm_drake.plugins.audit.dynamics import MOST, Dynamics
-from ffsm_drake.plugins.audit.log import Log, only
+from ffsm_drake.plugins.audit.log import Log, only, thinned
 from ffsm_drake.plugins.audit.misfit import (
     NAMED,
     SURE,
@@ -40,10 +40,13 @@ class _Work:
     rate: np.ndarray  # dT/dq and the disturbance
     effort: np.ndarray
 
-    def motion(self) -> Motion:
-        """Change of momentum minus the contribution of the other bodies, and the effort."""
-        moved = np.diff(self.momentum, axis=0) - areas(self.time, self.rate)
-        return Motion(time=self.time, rate=self.effort, moved=moved)
+    def motion(self, step: int) -> Motion:
+        """Change of momentum minus the contribution of the other bodies, and the effort, at every
+        ``step``-th sample.
+        """
+        some = thinned(self, step)
+        moved = np.diff(some.momentum, axis=0) - areas(some.time, some.rate)
+        return Motion(time=some.time, rate=some.effort, moved=moved)
 
     @property
     def size(self) -> float:
@@ -83,27 +86,18 @@ def check_efforts(log: Log, found: Momentum, tolerance: float) -> list[Check]:
 
 def _check(log: Log, found: Momentum, tolerance: float) -> list[Check]:
     name, dynamics, names = "energy", found.dynamics, found.dynamics.names
-    works = _works(log, dynamics)
-    sizes = [work.size for work in works]
+    works = functools.cache(lambda log: _works(log, dynamics))
+    sizes = [work.size for work in works(log)]
     if not any(sizes):
         return [Check(name=name, statement="no joint moves", verdict="measured")]
     least = _LEAST * max(sizes)
-
-    @functools.cache
-    def other(how: Callable[[Log], Log]) -> list[_Work]:
-        return _works(how(log), dynamics)
-
     joints = [
         Followed(
-            samples=work, motion=_Work.motion, size=max(size, least),
-            others={
-                why: lambda how=how, j=j: other(how)[j]  # type: ignore[misc]
-                for why, how in (("digits", Log.shaken), ("sampling", Log.resampled))
-            },
-            drifts=lambda: found.excuses_efforts,
+            log=log, motion=lambda log, step, j=j: works(log)[j].motion(step),  # type: ignore[misc]
+            size=max(size, least), drifts=lambda: found.excuses_efforts,
             sure=0.0 if "efforts" in log.unsure else SURE,
         )
-        for j, (work, size) in enumerate(zip(works, sizes, strict=True))
+        for j, size in enumerate(sizes)
     ]  # fmt: skip
     worst = max(joint.share for joint in joints)
     if "efforts" in log.missing:

@@ -1,6 +1,7 @@
 """A log of a spacecraft's motion as arrays, with the uncertainty of its digits and sampling."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Mapping
 from typing import TypeVar
@@ -55,6 +56,7 @@ class Log:
         found: Array = attitudes(self.quaternion).as_matrix()
         return found
 
+    @functools.cached_property
     def resampled(self) -> "Log":
         """The log with arrays interpolated or differentiated from every second value."""
         changed = {what: getattr(self, what) + change for what, change in self.unsure.items()}
@@ -75,6 +77,7 @@ class Log:
         unsure = {**self.unsure, "efforts": np.tile(0.5 * sizes[:, None], held.shape[1])}
         return self.replace(disturbance=rest, efforts=self.efforts + held, unsure=unsure)
 
+    @functools.cached_property
     def shaken(self) -> "Log":
         """The log with half a last digit added or subtracted at random; equal values stay equal."""
         draw, changes = np.random.default_rng(0), {}
@@ -109,6 +112,12 @@ def only(samples: _Samples, kept: Array | slice) -> _Samples:
         elif field.name == "unsure":
             changes[field.name] = {what: change[kept] for what, change in value.items()}
     return dataclasses.replace(samples, **changes)  # type: ignore[type-var]
+
+
+def thinned(samples: _Samples, step: int) -> _Samples:
+    """Every ``step``-th sample of a dataclass of arrays with a time, in whole steps."""
+    count = len(samples.time)  # type: ignore[attr-defined]
+    return only(samples, slice(None, count - (count - 1) % step, step))
 
 
 def every(count: int, *, most: int) -> Array:

@@ -9,13 +9,12 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
 from ffsm_drake.plugins.audit.checks import AMBIGUOUS, UNEXPLAINED, Check, fault, undecided
-from ffsm_drake.plugins.audit.log import Array, every, only
+from ffsm_drake.plugins.audit.log import Array, Log, every
 
 NAMED = 0.15  # largest share of the residual that a named mistake may leave
 SURE = 0.03  # the same, for residuals within the doubt of sampling, digits or noise
@@ -280,16 +279,15 @@ class Motion:
 class Followed:
     """Comparison of a path with its rate, without jumps."""
 
-    samples: Any  # a dataclass of arrays with a time
-    motion: Callable[[Any], Motion]
-    others: Mapping[str, Callable[[], Any]]  # doubt -> samples with other digits or interpolation
+    log: Log
+    motion: Callable[[Log, int], Motion]  # at every so many samples of a log
     size: float = 0.0  # residuals are shares of this size; 0: the motion's own
     drifts: Callable[[], bool] = lambda: False  # True: integrator drift may explain it
     sure: float = SURE  # 0: the doubt may look like a mistake
 
     @functools.cached_property
     def parts(self) -> Motion:
-        return self.motion(self.samples)
+        return self.motion(self.log, 1)
 
     @functools.cached_property
     def expected(self) -> Array:
@@ -350,20 +348,22 @@ class Followed:
     def doubt(self) -> tuple[float, str]:
         """Bound of the path's error, and its reason: sampling, digits, noise or an integrator."""
 
-        def path(samples: Any, step: int = 1) -> Array:
-            whole = len(samples.time) - (len(samples.time) - 1) % step
-            parts = self.motion(only(samples, slice(None, whole, step)))
-            kept = np.all(~self.jumps[: whole - 1].reshape(-1, step), axis=1, keepdims=True)
+        def path(log: Log, step: int = 1) -> Array:
+            parts = self.motion(log, step)
+            jumps = self.jumps[: step * len(parts.moved)].reshape(-1, step)
+            kept = np.all(~jumps, axis=1, keepdims=True)
             return since_start((parts.moved - parts.expected) * kept)
 
-        paths = [path(self.samples, step) for step in (1, 2, 4)]
+        paths = [path(self.log, step) for step in (1, 2, 4)]
         slope = 0.5 * swing(since_start(self.parts.slope * ~self.jumps[:, None]))
+        digits, resampled = (
+            2.0 * swing(path(log) - paths[0]) for log in (self.log.shaken, self.log.resampled)
+        )
         doubts = {
-            "sampling": max(open_by_steps(paths), slope),
+            "sampling": max(open_by_steps(paths), slope, resampled),
             "noise": noise(paths[0], self.parts.expected),
+            "digits": digits,
         }
-        for why, other in self.others.items():
-            doubts[why] = max(doubts.get(why, 0.0), 2.0 * swing(path(other()) - paths[0]))
         drifts = max(doubts.values()) < self.left and self.drifts()
         return (math.inf, "integrator") if drifts else greatest(doubts)
 

@@ -146,10 +146,10 @@ class Momentum:
             "sampling": 0.7 * swing((coarse - fine[::2]) / self.scale),
         }
         if self.log.unsure:
-            change = 2.0 * swing(self.total(self.some.resampled()) - total)
+            change = 2.0 * swing(self.total(self.some.resampled) - total)
             doubts["sampling"] = max(doubts["sampling"], change, doubts.pop("noise"))
         if any(self.log.digits.values()):
-            doubts["digits"] = 3.0 * swing(self.total(self.some.shaken()) - total)
+            doubts["digits"] = 3.0 * swing(self.total(self.some.shaken) - total)
         return greatest(doubts)
 
     @functools.cached_property
@@ -162,12 +162,11 @@ class Momentum:
         return named(self.missed, self.still, mistakes, self.doubt[0], share=share)
 
     @functools.cached_property
-    def drift(self) -> tuple[float, float] | None:
-        """Step (s) of a first-order integrator whose drift explains the residual, and the remaining
-        residual. None if no step explains it.
+    def drift(self) -> Estimate | None:
+        """The drift of a first-order integrator that explains the residual; its size is the step,
+        s. None if no step explains it.
         """
-        found = self.named(_of_integrator(self), share=_DRIFTED)
-        return (float(found.sizes[0]), found.left) if found else None
+        return self.named(_of_integrator(self), share=_DRIFTED)
 
     @property
     def excuses_efforts(self) -> bool:
@@ -196,11 +195,11 @@ def check_momentum(log: Log, dynamics: Dynamics, tolerance: float) -> tuple[Chec
     if found.share <= doubt:
         return undecided(name, why, f"{said}, but {DOUBTS[why]}"), found
     if found.drift:
-        step, left = found.drift
         words = (
-            f"{said}, of which {left:.2g} is not drift of an integrator with steps of {step:.2g} s"
+            f"{said}, of which {found.drift.left:.2g} is not drift of an integrator with steps of "
+            f"{found.drift.sizes[0]:.2g} s; log a run with shorter steps"
         )
-        return undecided(name, "integrator", f"{words}; log a run with shorter steps"), found
+        return undecided(name, "integrator", words), found
     words = "no single mistake explains it; there are several, or a varying force is not logged"
     return fault(name, UNEXPLAINED, f"{said}; {words}"), found
 

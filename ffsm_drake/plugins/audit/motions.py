@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.so3 import in_body_axes
-from ffsm_drake.plugins.audit.log import Array, Log, in_world_axes
+from ffsm_drake.plugins.audit.log import Array, Log, in_world_axes, thinned
 from ffsm_drake.plugins.audit.misfit import Estimate, Mistake, Motion, about, areas, means
 from ffsm_drake.spacecraft.coordinates import position_errors
 
@@ -29,8 +29,9 @@ class Kind:
     rate: str  # name of the log's array of rates
     mistakes: Callable[[Log], Iterator[Mistake]]
 
-    def motion(self, log: Log) -> Motion:
-        """The motion; the attitude's is in world axes."""
+    def motion(self, log: Log, step: int) -> Motion:
+        """The motion at every ``step``-th sample; the attitude's is in world axes."""
+        log = thinned(log, step)
         rate, beside = getattr(log, self.rate), np.zeros(1)
         moved = (
             turned(log) if self.path == "quaternion" else np.diff(getattr(log, self.path), axis=0)

@@ -64,8 +64,7 @@ class _Reading:
 
     def followed(self) -> Followed:
         """The motion. It is not cached, because a long log needs much memory."""
-        others = {"digits": self.log.shaken, "sampling": self.log.resampled}
-        return Followed(samples=self.log, motion=self.kind.motion, others=others)
+        return Followed(log=self.log, motion=self.kind.motion)
 
     @functools.cached_property
     def fit(self) -> tuple[float, float]:
