@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from ffsm_drake.plugins.policy.policy import observation_names
-
+policy = pytest.importorskip("ffsm_drake.plugins.policy.policy")
 onnx = pytest.importorskip("onnx", reason="needs onnx, of the extra test")
 
 FLOAT = onnx.TensorProto.FLOAT
@@ -41,7 +40,7 @@ def linear_policy(weights, metadata, size=None):
 
 def metadata_of(scenario, coordinates, **changes):
     """Metadata that fit a scenario."""
-    names = observation_names(scenario, coordinates, tracks_frame=False)
+    names = policy.observation_names(scenario, coordinates, tracks_frame=False)
     return {
         "observation_names": json.dumps(names),
         "action_names": json.dumps(coordinates.names),
