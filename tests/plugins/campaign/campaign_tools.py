@@ -15,9 +15,10 @@ from click.testing import CliRunner
 
 from ffsm_drake.common.workers import InThisProcess, Stop, Workers
 from ffsm_drake.plugins.campaign.command import campaign
-from ffsm_drake.plugins.campaign.evaluate import METRICS, PREDICTIONS
+from ffsm_drake.plugins.campaign.evaluate import CIRCUMSTANCES
 from ffsm_drake.plugins.campaign.run import start_campaign
 from ffsm_drake.plugins.campaign.spec import load_spec
+from ffsm_drake.plugins.campaign.store import open_store
 
 SMALL = {
     "description": "a small campaign",
@@ -84,12 +85,12 @@ def sql(database: Path, *statements: str) -> list[tuple]:
         return [connection.execute(each).fetchall() for each in statements][-1]
 
 
-def table(database: Path) -> list[tuple]:
-    """All that must be the same however a campaign was run."""
-    columns = ("case_index", "controller", "random_seed", "outcome", "outcome_time", "message")
-    values = ('"payload.truth.mass"', '"sensing.velocity_noise"', '"payload.nominal.inertia"')
-    names = ", ".join((*columns, *values, *METRICS, *PREDICTIONS))
-    return sql(database, f"SELECT {names} FROM runs ORDER BY 1, 2")
+def table(database: Path) -> list[dict]:
+    """All that must be the same however a campaign was run: the runs without circumstances."""
+    with open_store(database) as store:
+        rows = store.query("SELECT * FROM runs ORDER BY case_index, controller")
+        found = [dict(zip(store.columns, row, strict=True)) for row in rows]
+    return [{name: row[name] for name in row if name not in CIRCUMSTANCES} for row in found]
 
 
 def count(database: Path) -> int:

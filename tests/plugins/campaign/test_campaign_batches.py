@@ -59,8 +59,8 @@ def rows(database):
 
 def test_a_failing_case_is_a_row_that_fails_again(database, rows):
     said = "ScenarioError: payload.truth.mass: must be > 0 kg, not -1"
-    errors = [row for row in rows if row[3] == "error"]
-    assert [(row[0], row[5]) for row in errors] == [(2, said), (2, said)]
+    errors = [row for row in rows if row["outcome"] == "error"]
+    assert [(row["case_index"], row["message"]) for row in errors] == [(2, said), (2, said)]
     result = invoke("rerun", database, "--case", 2)
     assert result.exit_code == 0, result.output
     assert result.output.count("all values equal the stored ones, bit for bit") == 2

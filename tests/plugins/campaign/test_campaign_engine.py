@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import yaml
-from campaign_tools import HERE, run_here, write_spec
+from campaign_tools import HERE, run_here, sql, write_spec
 from click.testing import CliRunner
 
 from ffsm_drake import load_scenario
@@ -29,8 +29,7 @@ NOT_COVERED = {
 
 def rows(database, *columns):
     names = ", ".join(("case_index", "controller", *columns))
-    with open_store(database) as store:
-        return list(store.query(f"SELECT {names} FROM runs ORDER BY 1, 2"))
+    return sql(database, f"SELECT {names} FROM runs ORDER BY 1, 2")
 
 
 @pytest.fixture(scope="module")
