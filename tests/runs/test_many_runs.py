@@ -13,7 +13,6 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Adder, FirstOrderLowPassFilter, RandomSource
 
 from ffsm_drake import BlockError, ScenarioError, load_scenario, simulate, simulate_many
-from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.runs.batches import usual_batch
 from ffsm_drake.runs.engine import Engine
 from ffsm_drake.systems.controllers import ControlLaw
@@ -197,8 +196,3 @@ def test_the_logs_of_runs_at_once_fit_into_memory():
     assert usual_batch() == 1
     assert usual_batch(engine) == engine.batch
     assert usual_batch(engine, samples=10**7) < engine.batch
-
-
-def test_an_unknown_engine_is_named():
-    with pytest.raises(FfsmError, match="'gpu' is unknown"):
-        simulate_many([load_scenario("postcapture", [SHORT])], engine="gpu")

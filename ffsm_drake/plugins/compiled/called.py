@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.plugins.compiled.loop import Blocks
+from ffsm_drake.plugins.compiled.blocks import Blocks
 from ffsm_drake.systems.controllers import SampledController
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 

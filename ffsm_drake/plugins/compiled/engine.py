@@ -1,7 +1,6 @@
 """The engine ``compiled``: whole runs in machine code, compared with Drake before the first use."""
 
 import collections
-import copy
 import dataclasses
 import functools
 import re
@@ -10,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.plugins.compiled.apart import Refused, apart, reason_of
 from ffsm_drake.plugins.compiled.called import Trial
 from ffsm_drake.plugins.compiled.compiling import llvm
 from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.lanes import Lanes
-from ffsm_drake.plugins.compiled.logs import COMPILED, logs_of
-from ffsm_drake.plugins.compiled.loop import SCHEMES
-from ffsm_drake.plugins.compiled.missions import NUDGE, MissionLane, advance
+from ffsm_drake.plugins.compiled.logs import COMPILED, RunLane
+from ffsm_drake.plugins.compiled.missions import NUDGE, Lane, MissionLane, advance, refusal
 from ffsm_drake.plugins.compiled.run import Case, Run, case_of
+from ffsm_drake.plugins.compiled.schemes import SCHEMES
 from ffsm_drake.plugins.equations.comparison import held_to_drake
 from ffsm_drake.runs.batches import all_but_controller
 from ffsm_drake.runs.engine import Engine, NotCovered
@@ -42,7 +41,6 @@ _PARTS = {
     "actuation.thrusters", "supervisor", "forces.gripper",
 }  # fmt: skip
 _OWN = re.compile(r"(sensing|phases)\..*|forces\.(?!disturbance|gripper).*")  # of users
-_LEFT = "its fault detection isolates a unit, or it diverges"
 _KEPT = 16  # kernels
 _TRIAL = 0.5  # s, of a run under actions that is compared with Drake's
 
@@ -100,8 +98,8 @@ class Compiled(Engine):
     ) -> list[RunLog | NotCovered | None]:
         """See Engine."""
         results: list[RunLog | NotCovered | None] = [None] * len(scenarios)
-        groups: dict[Any, list[tuple[int, Run]]] = {}
-        cases, lanes = dict[Any, Case](), dict[int, MissionLane]()
+        cases, lanes = dict[Any, Case](), dict[int, Lane]()
+        alone = len(scenarios) == 1
         for index, scenario in enumerate(scenarios):
             try:
                 self.check(scenario)
@@ -111,72 +109,33 @@ class Compiled(Engine):
                 if (same := all_but_controller(scenario)) not in cases:
                     cases[same] = case_of(scenario)
                 run = cases[same].run(scenario)
-                groups.setdefault((run.key, run.samples), []).append((index, run))
+                lanes[index] = RunLane(run, signals if (run.key, alone) in _judged else None)
             except NotCovered as error:
                 results[index] = error
             except FfsmError:  # Drake's run shows it
                 pass
-        _go(list(lanes.values()), alone=len(scenarios) == 1)
+        _go(list(lanes.values()), alone=alone)
         for index, lane in lanes.items():
             results[index] = lane.result
-        for group in groups.values():
-            runs = [run for _, run in group]
-            found = results_of(runs, signals, alone=len(scenarios) == 1)
-            for (index, run), result in zip(group, found, strict=True):
-                acts = result is None and run.case.detector is not None
-                results[index] = NotCovered(_LEFT) if acts else result
         for case in cases.values():
             case.forget_rows()
         return results
 
 
 _kernels: collections.OrderedDict[Any, Kernel | NotCovered] = collections.OrderedDict()
-# compared with Drake: keys of kernels, and pairs of successive phases; pairs that are refused
+# compared with Drake: runs' keys, and pairs of successive phases; those that are refused
 _judged, _refused = set[Any](), dict[Any, NotCovered]()
 
 
-def results_of(
-    runs: Sequence[Run], signals: Collection[str] | None = None, *, alone: bool = False
-) -> list[RunLog | NotCovered | None]:
-    """The results of runs with the same code, which is compared with Drake once in a process.
-
-    Args:
-      signals: see ``logs_of``.
-      alone: see ``Kernel``.
-    """
-    key = runs[0].key, alone
-    try:
-        kernel = _kernel_of(runs, alone=alone)
-        width, why = kernel.width, kernel.blocks.called
-        runs = [run.with_called_law(why) for run in runs] if why else runs
-        parts = [runs[at : at + width] for at in range(0, len(runs), width)]
-        needed = signals if key in _judged else None
-        logs = [log for part in parts for log in logs_of(kernel, part, needed)]
-        if key not in _judged:
-
-            def nudged(index: int) -> RunLog | None:
-                other = copy.copy(runs[index])
-                other.states = other.states | {"x": other.states["x"] * NUDGE}
-                (log,) = logs_of(kernel, [other])
-                return log
-
-            for index, log in enumerate(logs):
-                if log is None:
-                    continue
-                if _judge(runs[index], log, functools.partial(nudged, index)):
-                    _judged.add(key)
-                    break
-                logs[index] = None  # it diverges on Drake
-    except FfsmError as error:  # Drake's run may refuse it
-        _kernels[key] = refused = _refusal(error)
-        return [refused] * len(runs)
-    return [*logs]
+def results_of(runs: Sequence[Run], *, alone: bool = False) -> list[RunLog | NotCovered | None]:
+    """The results of runs of one phase. Args: see ``Kernel``."""
+    lanes = [RunLane(run) for run in runs]
+    _go(lanes, alone=alone)
+    return [lane.result for lane in lanes]
 
 
-def _go(lanes: Sequence[MissionLane], *, alone: bool) -> None:
-    """Run lanes in phases. Each phase, after the one before it, is compared with Drake once in a
-    process.
-    """
+def _go(lanes: Sequence[Lane], *, alone: bool) -> None:
+    """Run lanes. Each phase, after the one before it, is compared with Drake once in a process."""
     kernel_of = functools.partial(_kernel_of, alone=alone)
     advance(lanes, kernel_of)
     for lane in lanes:
@@ -186,30 +145,28 @@ def _go(lanes: Sequence[MissionLane], *, alone: bool) -> None:
         refused = [_refused[change] for change in changes if change in _refused]
         if not refused and not changes <= _judged:
 
-            def nudged(scenario: Scenario = lane.scenario) -> RunLog | None:
-                other = MissionLane(scenario, nudged=True)
+            def nudged(lane: Lane = lane) -> RunLog | None:
+                other = lane.nudged(NUDGE)
                 advance([other], kernel_of)
                 return other.result if isinstance(other.result, RunLog) else None
 
             try:
-                if _judge(lane.run, log, nudged, lane.scenario):
+                if _judge(lane.run, log, nudged, lane.whole):
                     _judged.update(changes)
                 else:
-                    lane.result = None
+                    lane.result = lane.lost
             except FfsmError as error:
-                refused = [_refusal(error)]
+                refused = [refusal(error)]
                 _refused.update(dict.fromkeys(changes - _judged, refused[0]))
         if refused:
             lane.result = refused[0]
 
 
-def _refusal(error: FfsmError) -> NotCovered:
-    return error if isinstance(error, NotCovered) else NotCovered(one_line(error))
-
-
 def _kernel_of(runs: Sequence[Run], *, alone: bool) -> Kernel:
     """The code of runs, compiled once in a process. Raises NotCovered."""
     key = runs[0].key, alone
+    if key in _refused:
+        raise _refused[key]
     if key not in _kernels:
         try:
             found = _compiled(runs[0], alone=alone)
@@ -217,7 +174,7 @@ def _kernel_of(runs: Sequence[Run], *, alone: bool) -> Kernel:
                 _try_calls(found, runs[:2])
             _kernels[key] = found
         except FfsmError as error:  # Drake's loop, or llvmlite, may refuse it
-            _kernels[key] = _refusal(error)
+            _kernels[key] = refusal(error)
     made = _kernels[key]
     _kernels.move_to_end(key)
     if len(_kernels) > _KEPT:

@@ -13,12 +13,14 @@ from typing import NamedTuple
 import numpy as np
 
 from ffsm_drake.plugins.compiled.apart import apart
+from ffsm_drake.plugins.compiled.blocks import CARRIED, TOUCHED, Blocks
 from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.code import declarations
 from ffsm_drake.plugins.compiled.compiling import Code, registers
-from ffsm_drake.plugins.compiled.loop import CARRIED, SCHEMES, TOUCHED, Blocks, Function
+from ffsm_drake.plugins.compiled.functions import Function, functions
 from ffsm_drake.plugins.compiled.plans import Plans
 from ffsm_drake.plugins.compiled.registers import Registers
+from ffsm_drake.plugins.compiled.schemes import SCHEMES
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.systems.part import Parts
 from ffsm_drake.tape.numbers import NotTraceable
@@ -256,14 +258,12 @@ class _Text:
         return Code(make, key and f"{what} {key}", quickly=not self._begins)
 
     def _module(self) -> str:
-        functions = self._blocks.functions(
-            self._registers, begins=self._begins, slopes=self._slopes
-        )
-        lines = "\n".join((*self._entry(), *self._lines(functions)))
+        made = functions(self._blocks, self._registers, begins=self._begins, slopes=self._slopes)
+        lines = "\n".join((*self._entry(), *self._lines(made)))
         return "\n".join((
             *declarations(self._registers),
             "declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)",
-            *(each.text for each in functions.values()),
+            *(each.text for each in made.values()),
             f"define void @run({self._arguments}) {{\n{lines}\n}}\n",
         ))  # fmt: skip
 

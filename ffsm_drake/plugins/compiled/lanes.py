@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.plugins.compiled.blocks import laid, sizes_of
 from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.kernel import Kernel, LaneState
 from ffsm_drake.plugins.compiled.logs import engine_of, log_of, planned_signals
@@ -99,11 +100,8 @@ class Lanes:
 
     def remember(self, name: str, values: np.ndarray) -> None:
         """Set a part of the law's memory (number, n)."""
-        first = self._kernel.places["memory"]
-        for each, like in self._kernel.blocks.memory.items():
-            if each == name:
-                break
-            first += like.size
+        _, place, _ = laid("memory", sizes_of(self._kernel.blocks.memory))[name]
+        first = self._kernel.places["memory"] + place
         registers, _, width = self._cells.shape
         whole = np.zeros((registers * width, values.shape[1]))
         whole[: self.number] = values

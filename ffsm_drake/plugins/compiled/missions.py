@@ -1,4 +1,4 @@
-"""Runs in phases. Each phase is a leg of a kernel, and lanes with the same code run together.
+"""Runs of one or more phases, which are legs of a kernel. Lanes with the same code run together.
 
 Between the legs, the kinds of phases plan and judge in Python.
 """
@@ -12,14 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.plugins import service
+from ffsm_drake.plugins.compiled.blocks import at_start, row, sizes_of
 from ffsm_drake.plugins.compiled.called import parts
 from ffsm_drake.plugins.compiled.kernel import Kernel, LaneEnd, LaneState
-from ffsm_drake.plugins.compiled.logs import laws_of, log_of, planned_signals
+from ffsm_drake.plugins.compiled.logs import RunLane, laws_of, log_of, planned_signals
 from ffsm_drake.plugins.compiled.noise import Noise
 from ffsm_drake.plugins.compiled.plans import plans_of
-from ffsm_drake.plugins.compiled.run import Case, Run, row_of
+from ffsm_drake.plugins.compiled.run import Case, Run
 from ffsm_drake.runs.ending import COMPLETED, Outcome
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.log import RunLog
@@ -53,7 +54,7 @@ class LaneStage(Stage):
     @property
     def blocks(self) -> Mapping[str, Any]:
         """See Stage."""
-        return {f"forces.{name}": block for name, block in self.run.case.forces.items()}
+        return {f"forces.{name}": block for name, block in self.run.case.parts["forces"].items()}
 
     @property
     def state(self) -> np.ndarray:
@@ -92,22 +93,18 @@ class LaneStage(Stage):
         touched = self.begin.cells["touched"].copy()
         for name, place in self._places(block).items():
             touched[place] = memory[name]
-        touch = np.zeros_like(self.begin.cells["touch"])
-        self._set({**self.begin.cells, "touched": touched, "touch": touch})
+        self._set({**self.begin.cells, "touched": touched})
 
     def _places(self, block: str) -> dict[str, slice]:
         """The places of a block's memory among the numbers of its kind."""
-        starts = {f"forces.{name}": each.start() for name, each in self.run.blocks.fast.items()}
-        sizes = {
-            (name, key): np.size(value)
-            for name, start in starts.items()
-            for key, value in start.items()
-        }
-        return {key: place for (name, key), place in parts(sizes).items() if name == block}
+        for each in self.run.blocks.sampled:
+            if f"{each.kind}.{each.name}" == block:
+                return parts(sizes_of(at_start(each.block)), each.first)
+        return {}
 
     def place(self, state: np.ndarray) -> None:
         """See Stage."""
-        memory = row_of(self.run.law.initial_state())
+        memory = row(self.run.law.initial_state().values())
         self._set(self.run.case.states_at(state) | {"memory": memory})
 
     def carry(self, payload: MassProperties) -> None:
@@ -125,18 +122,18 @@ class LaneStage(Stage):
         own, plant = self.begin.cells, self._plant
         cells = dict(before.begin.cells)
         cells["x"] = np.concatenate([own["x"][:plant], cells["x"][plant:]])
-        cells["touch"] = own["touch"]  # zero: the gripper of the phase before has no effect
+        cells.pop("touch")  # zero: the gripper of the phase before has no effect
         first_at = before.begin.first_at
         if "controller" in afresh:
             first_at, cells["memory"] = self.begin.sample, own["memory"]
         elif reference is not None:
             first_at = self.begin.sample
-            like, values = self.run.law.initial_state(), cells["memory"]
-            ends = np.cumsum([np.size(each) for each in like.values()])[:-1]
-            parts = zip(like.items(), np.split(values, ends), strict=True)
-            memory = {name: part.reshape(np.shape(each)) for (name, each), part in parts}
-            law = before.run.law
-            cells["memory"] = row_of(self.run.controller.resumed(memory, law, reference))
+            law, like = before.run.law, self.run.blocks.memory
+            memory = {
+                name: cells["memory"][place].reshape(like[name].shape)
+                for name, place in parts(sizes_of(like)).items()
+            }
+            cells["memory"] = row(self.run.controller.resumed(memory, law, reference).values())
         if "reference" not in afresh and self.followed is not None:
             self.followed = before.followed or self.followed
         if (held := self.run.parameters["joint_force"]).size:  # the law reads what acts now
@@ -165,17 +162,21 @@ class MissionLane:
     ``result`` at the end: its log; NotCovered; or None, if it fails. Drake's run then shows how.
     """
 
-    def __init__(self, scenario: Scenario, *, nudged: bool = False) -> None:
-        """Args: the scenario; whether the last bits of its first state are changed. Raises the
-        errors of a plan.
-        """
-        self.scenario, self._nudged, self._start = scenario, nudged, time.perf_counter()
+    signals = lost = None  # its log needs all signals, and has none if the run is lost
+
+    def __init__(self, scenario: Scenario, *, nudge: float = 1.0) -> None:
+        """Args: the scenario; factor of its first state. Raises the errors of a plan."""
+        self.whole, self._nudge, self._start = scenario, nudge, time.perf_counter()
         mission = service("capture_mission", "capture.approach")
         self._course = Course(mission(scenario), scenario)
         self.result: RunLog | NotCovered | None = None
         self.steps = list[Any]()  # what its code depends on, from phase to phase
         self._noise: Noise | None = None
-        self._spent = {"build": 0.0, "advance_to": 0.0}
+        self._build_time = 0.0
+
+    def nudged(self, nudge: float) -> "MissionLane":
+        """The same with another first state."""
+        return MissionLane(self.whole, nudge=nudge)
 
     def plan(self) -> bool:
         """Go to the begin of the next phase, if there is one."""
@@ -190,14 +191,14 @@ class MissionLane:
             return False
         except FfsmError:  # Drake's run shows it
             return False
-        self._spent["build"] = time.perf_counter() - start
+        self._build_time = time.perf_counter() - start
         return True
 
     def _begin(self, phase: Phase) -> None:
         if others := [name for name in phase.blocks if not _OWN.fullmatch(name)]:
             raise NotCovered(f"the block {min(others)} of a phase")
         first, last = self._course.sample, phase.names[-1][1]
-        plan = phase.scenario or self.scenario
+        plan = phase.scenario or self.whole
         case = Case(
             plan,
             phase.grip,
@@ -214,8 +215,8 @@ class MissionLane:
         self._phase, self._stage, self.kind = phase, LaneStage(run, first), self._course.kind
         self._course.enter(phase, self._stage)
         self._stage.follow()
-        if self._nudged and first == 0:
-            self._stage.place(self._stage.state * NUDGE)
+        if self._nudge != 1.0 and first == 0:
+            self._stage.place(self._stage.state * self._nudge)
         self.ends = last is None
         self.samples = (case.samples - 1 if last is None else last) - first
 
@@ -229,8 +230,12 @@ class MissionLane:
         """Where the present phase begins."""
         return self._stage.begin
 
-    def note(self, kernel: Kernel, end: LaneEnd, seconds: float) -> None:
-        """End the present phase. Args: the time spent in its kernel."""
+    def call_law(self, why: str) -> None:
+        """Call the law, which is not traced for this reason."""
+        self._stage.run = self.run.with_called_law(why)
+
+    def note(self, kernel: Kernel, end: LaneEnd, spent: Mapping[str, float]) -> None:
+        """End the present phase. Args: the time spent to prepare and to run, s."""
         run, first, count = self.run, self.begin.sample, len(end.log["state"])
         rows = slice(first, first + count)
         time_of = run.case.times[rows].copy()
@@ -238,7 +243,7 @@ class MissionLane:
         until = float(time_of[-1])
         outcome = Outcome(status=COMPLETED, time=until, message=f"completed {until:g} s")
         log = log_of(run, {**planned, **end.log}, outcome, time_of, kernel.parts)
-        spent = self._spent | {"advance_to": seconds}
+        spent = {**spent, "build": spent["build"] + self._build_time}
         self.steps.append((type(self.kind), run.key))
         self._stage.leave(end)
         self._course.leave(self._stage)
@@ -251,11 +256,14 @@ class MissionLane:
         return set(itertools.pairwise([None, *self.steps]))
 
 
-def advance(lanes: Iterable[MissionLane], kernel_of: Callable[[Sequence[Run]], Kernel]) -> None:
+Lane = MissionLane | RunLane
+
+
+def advance(lanes: Iterable[Lane], kernel_of: Callable[[Sequence[Run]], Kernel]) -> None:
     """Run lanes to their ends. Args: the lanes; what compiles the code of runs."""
     waiting = [lane for lane in lanes if lane.plan()]
     while waiting:
-        groups: dict[Any, list[MissionLane]] = {}
+        groups: dict[Any, list[Lane]] = {}
         for lane in waiting:
             groups.setdefault((lane.run.key, lane.samples, lane.ends), []).append(lane)
         waiting = [
@@ -263,33 +271,46 @@ def advance(lanes: Iterable[MissionLane], kernel_of: Callable[[Sequence[Run]], K
         ]
 
 
-def _advanced(
-    lanes: Sequence[MissionLane], kernel_of: Callable[[Sequence[Run]], Kernel]
-) -> list[MissionLane]:
+def _advanced(lanes: Sequence[Lane], kernel_of: Callable[[Sequence[Run]], Kernel]) -> list[Lane]:
     """Run the present phase of lanes with the same code. Return those that reach its end."""
-    found = list[MissionLane]()
+    found = list[Lane]()
     try:
         kernel = kernel_of([lane.run for lane in lanes])
-    except NotCovered as error:
+        for first in range(0, len(lanes), kernel.width):
+            found += _ended(kernel, lanes[first : first + kernel.width])
+    except FfsmError as error:  # Drake's run may refuse it
         for lane in lanes:
-            lane.result = error
-        return found
-    for first in range(0, len(lanes), kernel.width):
-        some, start = lanes[first : first + kernel.width], time.perf_counter()
-        runs = [lane.run for lane in some]
-        if why := kernel.blocks.called:
-            runs = [run.with_called_law(why) for run in runs]
-        ends = kernel.leg(
-            [run.parameters for run in runs],
-            [lane.begin for lane in some],
-            [run.rows for run in runs],
-            some[0].samples,
-            laws=laws_of(kernel, runs),
-            plans=plans_of(runs),
-            ends=some[0].ends,
-        )
-        for lane, end in zip(some, ends, strict=True):
-            if end.left is None:
-                lane.note(kernel, end, time.perf_counter() - start)
-                found.append(lane)
+            lane.result = refusal(error)
+        return []
     return found
+
+
+def refusal(error: FfsmError) -> NotCovered:
+    """Return an error as the reason why runs are left to Drake."""
+    return error if isinstance(error, NotCovered) else NotCovered(one_line(error))
+
+
+def _ended(kernel: Kernel, lanes: Sequence[Lane]) -> list[Lane]:
+    """Run as many lanes as a register holds, as ``_advanced``."""
+    start = time.perf_counter()
+    if why := kernel.blocks.called:
+        for lane in lanes:
+            lane.call_law(why)
+    runs = [lane.run for lane in lanes]
+    rows, laws = [run.rows for run in runs], laws_of(kernel, runs)
+    began = time.perf_counter()
+    ends = kernel.leg(
+        [run.parameters for run in runs],
+        [lane.begin for lane in lanes],
+        rows,
+        lanes[0].samples,
+        signals=lanes[0].signals,
+        laws=laws,
+        plans=plans_of(runs),
+        ends=lanes[0].ends,
+    )
+    spent = {"build": began - start, "advance_to": time.perf_counter() - began}
+    found = [(lane, end) for lane, end in zip(lanes, ends, strict=True) if end.left is None]
+    for lane, end in found:
+        lane.note(kernel, end, spent)
+    return [lane for lane, _ in found]

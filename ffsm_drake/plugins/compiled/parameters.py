@@ -15,6 +15,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -131,6 +132,12 @@ def _replaced(
     if isinstance(value, _CONSTANTS):
         constant((type(value).__name__, repr(value)))
         return value
+    if isinstance(value, MappingProxyType):  # which does not change
+        constant(tuple(value))
+        return {
+            key: _replaced(each, f"{place}.{key}", number, constant, model, row)
+            for key, each in value.items()
+        }
     if isinstance(value, tuple):
         constant(len(value))
         each = (_replaced(one, place, number, constant, model, row) for one in value)

@@ -5,7 +5,8 @@ import copy
 import dataclasses
 import functools
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -14,14 +15,17 @@ from pydrake.systems.framework import System
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.loop.blocks import DISTURBANCE, factory_of, settle_faults
-from ffsm_drake.plugins.compiled.loop import Blocks, forces_at, kept_at, phases_of, steps_of
-from ffsm_drake.plugins.compiled.noise import Noise, noise_of
-from ffsm_drake.plugins.compiled.parameters import (
-    Parameters,
-    parameters_of,
-    reader_of,
-    rows_of,
+from ffsm_drake.plugins.compiled.blocks import (
+    Blocks,
+    Parts,
+    kept_at,
+    phases_at,
+    row,
+    sampled_of,
 )
+from ffsm_drake.plugins.compiled.noise import Noise, noise_of
+from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of, rows_of
+from ffsm_drake.plugins.compiled.schemes import steps_of
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import HELD, Block, Grip, MassProperties, Scenario, scenario_to_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -109,36 +113,40 @@ class Case:
         errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
         self._drift = drift = errors.drift()
         stages = measurement_of(errors), *self._built("sensing").values()
-        is_traced = stages[-1].traced
-        self.detector = None if is_traced else stages[-1]
-        self.sensors = stages if is_traced else stages[:-1]
+        self.detector = None if stages[-1].traced else stages[-1]
         built = self._built("forces")
-        self.last = {name: each for name, each in built.items() if isinstance(each, Continuous)}
-        self.forces = {name: each for name, each in built.items() if isinstance(each, Sampled)}
         self.reference = self._reference()
         self.supervisor = self._supervisor()
         self.watch = None if self.supervisor is None else self.supervisor.block
-        self.actuators, self.flows = self._acting()
-        of_blocks = self._of_blocks()
-        phased = *self.actuators, *self.forces.values()
-        self.constants = (
-            *(each.constants for each in of_blocks.values()),
-            tuple(built),
-            *(len(each.phase(0)) for each in phased),
+        actuators, flows = self._acting()
+        self.parts = _frozen(
+            {
+                "sensing": _numbered(each for each in stages if each.traced),
+                "actuation": _numbered(actuators),
+                "flows": _numbered(flows),
+                "forces": {name: each for name, each in built.items() if isinstance(each, Sampled)},
+                "last": {
+                    name: each for name, each in built.items() if isinstance(each, Continuous)
+                },
+                "supervisor": {} if self.watch is None else {"supervisor": self.watch},
+            }
         )
+        found = parameters_of(self.parts, "blocks")
+        phases = tuple(len(block.phase(0)) for _, block in sampled_of(self.parts))
+        self.constants = found.constants, tuple(built), phases
         disturbance, force = sines_of(scenario.disturbance, self.coordinates), scenario.actuation
         limit = self.coordinates.vector(force.limit or {}, key="actuation.limit", default=np.inf)
         resolution = self.coordinates.vector(
             force.quantization, key="actuation.quantization", default=0.0
         )
         config = scenario.simulator_config
-        parts = max((each.per_sample for each in self.forces.values()), default=1) or 1
+        parts = max((each.per_sample for each in self.parts["forces"].values()), default=1) or 1
         self.steps = steps_of(scenario.sample_time, config.max_step_size, parts)
         if not self.steps:
             raise NotCovered("steps that do not divide a sample")
         self.parameters = {
             "own": own.parameters(self.true.context),
-            **{name: each.values for name, each in of_blocks.items()},
+            "parts": found.values,
             "deviation": errors.deviation,
             "limit": limit,
             "force_resolution": resolution,
@@ -152,9 +160,7 @@ class Case:
         }
         self._sizes_of_noise = {"size": errors.bias.size, "drifting": drift.kept.size}
         known = self.true.split.known_part(np.arange(self.true.plant.num_multibody_states()))
-        self.fixed = {
-            "nq": len(self.coordinates.position_names),
-            "nv": len(self.coordinates.names),
+        self.fixed: dict[str, Any] = {
             "tree": own.tree,
             "known": tuple(known.tolist()),
             "hidden": tuple(self.true.split.hidden_state.tolist()),
@@ -164,11 +170,7 @@ class Case:
             "loose": tuple(self.true.split.hidden.tolist()),
             "coordinates": self.coordinates,
             "recorded": self._recorded(),
-            "num_errors": self.parameters["sensors"].size,
-            "num_actuators": self.parameters["actuators"].size,
-            "num_forces": self.parameters["forces"].size,
-            "num_last": self.parameters["last_forces"].size,
-            "num_watch": self.parameters["watch"].size,
+            "num_numbers": found.values.size,
             "noisy": bool(errors.deviation.any()),
             "num_drifts": drift.kept.size,
             "framed": prescribes_frame(scenario),
@@ -179,17 +181,6 @@ class Case:
             "scheme": config.integration_scheme,
         }
 
-    def _of_blocks(self) -> dict[str, Parameters]:
-        """The parameters of the blocks but the law. Raises NotCovered."""
-        blocks: dict[str, tuple[Any, str]] = {
-            "sensors": (self.sensors, "sensors"),
-            "actuators": ((self.actuators, self.flows), "actuators"),
-            "forces": (tuple(self.forces.values()), "forces"),
-            "last_forces": (tuple(self.last.values()), "forces"),
-            "watch": (self.watch, "supervisor"),
-        }
-        return {name: parameters_of(of, f"the {word}") for name, (of, word) in blocks.items()}
-
     @functools.cached_property
     def states(self) -> dict[str, np.ndarray]:
         """What a run begins with but the memory of its law, by the names of ``Blocks.states``."""
@@ -198,12 +189,11 @@ class Case:
     def states_at(self, state: np.ndarray) -> dict[str, np.ndarray]:
         """``states`` at the plant's own [q; v]."""
         known = state[list(self.fixed["known"])]
+        flowing = [each.start(known) for each in self.parts["flows"].values()]
         return {
-            "x": np.concatenate([state, kept_at(self.flows, known)]),
+            "x": row([state, *(value for of in flowing for value in of.values())]),
             "drift": self._drift_at_start(),
-            "stored": kept_at(self.sensors, known),
-            "loaded": kept_at(self.actuators, known),
-            **forces_at(self.forces.values(), known, self.coordinates),
+            **kept_at(self.parts, known),
         }
 
     def carrying(self, payload: MassProperties) -> "Case":
@@ -214,13 +204,15 @@ class Case:
 
         other = copy.copy(self)
         other.true = Carrier(self.scenario).loaded(self.true, payload)
-        for name in ("sensors", "actuators", "flows"):
-            setattr(other, name, tuple(map(loaded, getattr(self, name))))
-        for name in ("forces", "last"):
-            setattr(other, name, {key: loaded(each) for key, each in getattr(self, name).items()})
-        found = {name: each.values for name, each in other._of_blocks().items()}
+        other.parts = _frozen(
+            {
+                kind: {name: loaded(each) for name, each in of.items()}
+                for kind, of in self.parts.items()
+            }
+        )
         own = reader_of(self.true.plant).parameters(other.true.context)
-        other.parameters = self.parameters | found | {"own": own}
+        found = parameters_of(other.parts, "blocks").values
+        other.parameters = self.parameters | {"own": own, "parts": found}
         return other
 
     def _drift_at_start(self) -> np.ndarray:
@@ -396,12 +388,10 @@ class Case:
         """What runs read at each sample, without noise (samples, n), by the names of
         ``Blocks.row``; 0 before and after a phase.
         """
-        watch = () if self.watch is None else (self.watch,)
-        timed = (*self.sensors, *self.actuators, *self.forces.values(), *watch)
-        times = self.times[self.window]
+        watch, times = self.parts["supervisor"], self.times[self.window]
         made = {
             "reference": self.motion.rows(times),
-            "phases": phases_of(timed, self.samples)[self.window],
+            "phases": phases_at(self.parts, self.samples)[self.window],
             "request": np.zeros((len(times), len(watch))),
         }
         if self.reference is not None:
@@ -440,11 +430,11 @@ class Run:
         if not isinstance(controller, SampledController):
             raise NotCovered("a controller that is a Drake system")
         self.controller, self.law = controller, controller.law
-        if getattr(self.law, "contacts_read", 0) and not self.case.last:
+        if getattr(self.law, "contacts_read", 0) and not self.case.parts["last"]:
             raise NotCovered("a law that reads contacts")
         self.coordinates, self.samples = self.case.coordinates, self.case.samples
         self.motion, self.steps = self.case.motion, self.case.steps
-        self._first_memory = row_of(self.law.initial_state())
+        self._first_memory = row(self.law.initial_state().values())
         try:
             found = parameters_of(self.law)
         except NotCovered as error:
@@ -458,11 +448,19 @@ class Run:
     def _lay_out(self, law: np.ndarray, constants: Any, planned: int, *, called: str = "") -> None:
         """Args: of the law: its parameters, constants, and planned numbers; see ``Blocks``."""
         at_start = self._first_memory if self.case.watch is not None else np.zeros(0)
-        fixed = {"num_parameters": law.size, "num_planned": planned, **self.case.fixed}
+        fixed: dict[str, Any] = {
+            "num_parameters": law.size,
+            "num_planned": planned,
+            **self.case.fixed,
+        }
         self.parameters = self.case.parameters | {"law": law, "law_at_start": at_start}
-        kinds = ("sensors", "actuators", "flows", "forces", "last", "watch", "detector")
-        blocks = {each: getattr(self.case, each) for each in kinds}
-        self.blocks = Blocks(law=self.law, called=called, **blocks, **fixed)
+        self.blocks = Blocks(
+            law=self.law,
+            parts=self.case.parts,
+            detector=self.case.detector,
+            called=called,
+            **fixed,
+        )
         self.code = (*fixed.values(), self.case.constants, constants, self.steps)  # if it is equal
 
     @functools.cached_property
@@ -508,9 +506,12 @@ class Run:
         return repr(self.code) if own else None
 
 
-def row_of(memory: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return a law's memory as the numbers of a run."""
-    return np.concatenate([np.zeros(0), *map(np.ravel, memory.values())])
+def _frozen(parts: Parts) -> Parts:
+    return MappingProxyType({kind: MappingProxyType({**of}) for kind, of in parts.items()})
+
+
+def _numbered(blocks: Iterable[Any]) -> dict[str, Any]:
+    return {str(index): each for index, each in enumerate(blocks)}
 
 
 _cases: collections.OrderedDict[Any, tuple[Scenario, Case]] = collections.OrderedDict()

@@ -11,14 +11,14 @@ import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.plugins.compiled.apart import reason_of
+from ffsm_drake.plugins.compiled.blocks import kept_at, phases_at, sampled_of, sizes_of
+from ffsm_drake.plugins.compiled.called import parts
 from ffsm_drake.plugins.compiled.engine import BLOCKS, Compiled
 from ffsm_drake.plugins.compiled.kernel import Step
-from ffsm_drake.plugins.compiled.loop import kept_at, phases_of
-from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of, rows_of
+from ffsm_drake.plugins.compiled.parameters import rows_of
 from ffsm_drake.plugins.compiled.run import Run, case_of
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario
-from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.systems.reference import make_frame_motion
 
 _KEPT = 32  # codes
@@ -59,8 +59,8 @@ class TracedSample:
             raise NotCovered("wheels")
         if scenario.blocks.choices() or scenario.supervisor is not None or scenario.contacts:
             raise NotCovered("blocks of a user, a supervisor, or contacts")
-        self._scenario, self._nominal, self.motion = scenario, run.case.nominal, run.case.motion
-        self._frame = make_frame_motion(scenario, self._nominal, self.motion)
+        self.motion = run.case.motion
+        self._frame = make_frame_motion(scenario, run.case.nominal, self.motion)
         self.key, self.law, self.coordinates = run.key, run.law, run.coordinates
         self.tracks_frame, self.sample_time = self.law.tracks_frame, scenario.sample_time  # s
         blocks = run.blocks
@@ -73,16 +73,14 @@ class TracedSample:
         self.hidden_names = run.case.true.split.names
         plant = len(self.known) + len(self.hidden)
         self.beside = slice(plant, blocks.states["x"])  # what feeds nothing back
-        forces = tuple(blocks.forces.values())
+        self._run = run
         # of the loops that it can be the sample of
-        self.blocks = BLOCKS | {f"forces.{name}" for name in blocks.forces}
-        self._measured = {"stored": blocks.sensors, "pushed": tuple(blocks.slow.values())}
-        timed = (*blocks.sensors, *blocks.actuators, *forces)
-        period = math.lcm(*(each.phase_period for each in timed))
+        self.blocks = BLOCKS | {f"forces.{name}" for name in blocks.parts["forces"]}
+        period = math.lcm(*(each.phase_period for _, each in sampled_of(blocks.parts)))
         if period > _LONGEST:
             raise NotCovered("sensors with a long common period")
         self.period = period
-        self._phases = phases_of(timed, period)  # of each sample of a common period
+        self._phases = phases_at(blocks.parts, period)  # of each sample of a common period
         white, drift = blocks.row["noise"], blocks.row["drift_noise"]
         self.num_noise = white + drift
         self.noise = {"samples": slice(0, white), "drift": slice(white, white + drift)}
@@ -90,10 +88,7 @@ class TracedSample:
         end = places["memory"] - places["x"]
         first = places["applied"] - places["x"]
         self.applied = slice(first, first + blocks.nv)
-        self.memory = dict[str, slice]()
-        for name, value in blocks.memory.items():
-            self.memory[name] = slice(end, end + value.size)
-            end += value.size
+        self.memory = parts(sizes_of(blocks.memory), end)
         self.held = {name: (self.memory[name], value) for name, value in self.law.held().items()}
         self.start = np.zeros(self.size)  # the state at the run's start, with sensors without drift
         for name in set(run.states) - {"drift"}:
@@ -102,10 +97,7 @@ class TracedSample:
         self._parameters = run.parameters | {"limit": np.full(blocks.nv, np.inf)}
         self._cells = self._filled(self._plain)
         self._row = np.zeros(sum(blocks.row.values()))  # without noise
-        self._in_row, first = dict[str, slice](), 0
-        for name, size in blocks.row.items():
-            self._in_row[name] = slice(first, first + size)
-            first += size
+        self._in_row = parts(blocks.row)
         self._planned = np.zeros((0, blocks.num_planned))  # of the first samples
 
     def kind(self, index: int) -> tuple[float, ...]:
@@ -116,9 +108,9 @@ class TracedSample:
         """The state of the run's start with another [q; v], which was measured before too (n)."""
         state = self.start.copy()
         state[self.known] = known
-        for name, own in self._measured.items():
-            first = self._plain.places[name] - self._plain.places["x"]
-            state[first : first + self._sizes[name]] = kept_at(own, known)
+        first = self._plain.places["stored"] - self._plain.places["x"]
+        kept = kept_at(self._run.blocks.parts, known)["stored"]
+        state[first : first + kept.size] = kept
         return state
 
     def after(self, index: int, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -147,15 +139,9 @@ class TracedSample:
         code, count = self._slopes, self.size + self.num_noise
         start, width, row = self._filled(code), code.width, self._read(index)
         if truth is not None:
-            true = self._true(truth)
-            own = reader_of(true.plant).parameters(true.context)
-            pushing = [
-                getattr(force, "with_payload", lambda _, force=force: force)(truth)
-                for force in self._measured["pushed"]
-            ]
-            changed = {"own": own, "forces": parameters_of(tuple(pushing), "the forces").values}
-            for name, values in changed.items():
-                self._of(code, start, name, values.size)[:] = values[:, None]
+            changed = self._run.carrying(truth).parameters
+            for name in ("own", "parts"):
+                self._of(code, start, name, changed[name].size)[:] = changed[name][:, None]
         self._of(code, start, "x", self.size)[:] = state[:, None]
         directions = np.eye(count, -(-count // width) * width)
         of_state = np.empty((self.size, directions.shape[1]))
@@ -170,15 +156,6 @@ class TracedSample:
             of_force[:, part] = self._of(code, cells, "d_generalized_force", len(of_force))
         found = Derivative(of_state[:, :count], of_force[:, :count])
         return self._of(code, cells, "x", self.size)[:, 0].copy(), found
-
-    def _true(self, truth: MassProperties | None) -> PlantModel:
-        """The plant with the payload of the scenario, or another."""
-        payload = self._scenario.payload
-        if truth is not None:
-            payload = dataclasses.replace(payload, truth=truth)
-        return make_flexible_plant(
-            dataclasses.replace(self._scenario, payload=payload), self._nominal.grip
-        )
 
     def _filled(self, code: Step) -> np.ndarray:
         """Cells with the parameters of the run."""

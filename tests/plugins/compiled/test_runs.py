@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from compared_runs import check
 
-from ffsm_drake import FfsmError, load_scenario, simulate, simulate_many
+from ffsm_drake import FfsmError, load_scenario, simulate_many
 from ffsm_drake.plugins.campaign.cases import with_controller
 from ffsm_drake.plugins.compiled import engine
 from ffsm_drake.plugins.compiled.noise import noise_of
 from ffsm_drake.runs.batches import run_many
-from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.sensing.errors import SensorErrors
@@ -141,18 +140,6 @@ def test_runs_of_a_case_that_share_it_have_the_bits_of_runs_alone(seed):
     assert apart
 
 
-@pytest.mark.slow
-def test_a_run_that_diverges_is_repeated_with_drake():
-    scenarios = [
-        load_scenario("postcapture", ["duration=0.3", f"divergence_speed={bound}"])
-        for bound in (10, 1e-4)
-    ]
-    fine, diverged = simulate_many(scenarios, engine="compiled")
-    assert fine.engine == "compiled"
-    assert diverged.outcome.status == "diverged"
-    assert diverged.engine == "drake (the run fails or diverges)"
-
-
 def test_runs_are_lost_beyond_their_bounds_of_velocity():
     """Bounds at the largest speed of a run, or just below; the others keep their bits."""
     random = np.random.default_rng(4)
@@ -173,17 +160,6 @@ def test_runs_are_lost_beyond_their_bounds_of_velocity():
             np.testing.assert_array_equal(log.series["state"], other.series["state"])
 
 
-@pytest.mark.slow
-def test_code_is_compared_with_the_first_run_that_completes():
-    scenarios = [
-        load_scenario("postcapture", ["duration=0.2", f"divergence_speed={bound}"])
-        for bound in (1e-4, 2e-4, 10, 11)
-    ]
-    found = simulate_many(scenarios, engine="compiled")
-    names = ["drake (the run fails or diverges)"] * 2 + ["compiled"] * 2
-    assert [record.engine for record in found] == names
-
-
 @pytest.mark.parametrize(
     "given",
     [
@@ -197,21 +173,6 @@ def test_a_run_with_more_does_not_share_the_code_of_one_without(given):
     one, other = simulate_many([plain, more], engine="compiled", keep_errors=True)
     assert one.engine == "compiled"
     assert isinstance(other, FfsmError) or other.engine.startswith("drake (not covered: ")
-
-
-def test_it_says_what_is_not_covered():
-    scenario = load_scenario(
-        "postcapture", ["duration=0.1", "simulator_config.use_error_control=true"]
-    )
-    with pytest.raises(NotCovered, match="error control"):
-        simulate(scenario, engine="compiled")
-    others = [dataclasses.replace(scenario, random_seed=seed) for seed in range(2)]
-    given = [*others, load_scenario("postcapture", ["duration=0.1"])]
-    *left, compiled = simulate_many(given, engine="compiled")
-    assert compiled.engine == "compiled"
-    for record, other in zip(left, simulate_many(others), strict=True):
-        assert record.engine.startswith("drake (not covered: error control")
-        assert record.dataset.identical(other.dataset)
 
 
 @pytest.mark.parametrize("seed", range(2))

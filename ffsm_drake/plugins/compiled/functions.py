@@ -1,0 +1,103 @@
+"""The traced functions of a compiled loop, as code on its cells."""
+
+import functools
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ffsm_drake.plugins.compiled.blocks import Blocks
+from ffsm_drake.plugins.compiled.code import of_lanes
+from ffsm_drake.plugins.compiled.loop import Made, TracedLoop
+from ffsm_drake.plugins.compiled.registers import Registers
+from ffsm_drake.plugins.compiled.schemes import SCHEMES
+from ffsm_drake.tape.arrays import inputs
+from ffsm_drake.tape.numbers import NotTraceable, Tape, number
+from ffsm_drake.tape.tangents import tangents
+
+_NOISE = ("noise", "drift_noise")  # of a row, the only numbers with a derivative
+
+
+class Function(NamedTuple):
+    """A traced function."""
+
+    text: str  # in LLVM's language
+    arrays: tuple[str, ...]  # what it reads, and then what it writes
+
+
+def functions(
+    blocks: Blocks, registers: Registers, *, begins: bool, slopes: bool
+) -> dict[str, Function]:
+    """Return the functions of a sample and of the integrator: with ``begins`` also a run's first
+    sample, with ``slopes`` also derivatives along a direction (cells ``d_...``). Raises
+    NotTraceable, or what the law raises on symbols.
+    """
+    made: dict[str, Callable[[TracedLoop], Made]] = {"derivative": TracedLoop.derivative}
+    if blocks.called:
+        made |= {"sensed": TracedLoop.sensed, "acted": TracedLoop.acted}
+    else:
+        made["sample"] = functools.partial(TracedLoop.sample, is_first=False)
+        if begins:
+            made["first"] = functools.partial(TracedLoop.sample, is_first=True)
+    if blocks.per_sample > 1:
+        made["touching"] = TracedLoop.touching
+    for i, weights in enumerate(SCHEMES[blocks.scheme].points):
+        made[f"point{i}"] = functools.partial(TracedLoop.point, weights=weights)
+    return {
+        name: _function(blocks, registers, name, each, slopes=slopes) for name, each in made.items()
+    }
+
+
+class _Cells:
+    """Arrays of symbols as attributes, by the names of cells; ``read`` has those that are read."""
+
+    def __init__(self, tape: Tape, sizes: Mapping[str, int]) -> None:
+        self._tape, self._sizes, self.read = tape, sizes, dict[str, Any]()
+
+    def __getattr__(self, name: str) -> Any:
+        array = inputs(self._tape, name, (self._sizes[name],))
+        array.setflags(write=False)
+        setattr(self, name, array)
+        self.read[name] = array
+        return array
+
+
+def _function(
+    blocks: Blocks,
+    registers: Registers,
+    name: str,
+    made: Callable[["TracedLoop"], Made],
+    *,
+    slopes: bool,
+) -> Function:
+    """Trace a function of cells."""
+    changing = blocks.states | blocks.results
+    sizes = blocks.parameters | changing | blocks.row
+    sizes |= {"t": 1, "state": sizes["x"], "rates": sizes["x"]}
+    tape = Tape()
+    cells = _Cells(tape, sizes)
+    results = {
+        each: [number(one) for one in np.asarray(values, dtype=object).ravel()]
+        for each, values in made(TracedLoop(blocks, cells)).items()
+    }
+    for each, values in results.items():
+        if len(values) != sizes[each]:
+            raise NotTraceable(f"size {len(values)} of {each} instead of {sizes[each]}")
+        for one in values:
+            tape.place_of(one)
+    given = {each: sizes[each] for each in cells.read}
+    if slopes:
+        seeds = dict[int, Any]()
+        times = {f"t{i}" for i in range(len(SCHEMES[blocks.scheme].times))}
+        for each in filter((changing.keys() - times | {"state", *_NOISE}).__contains__, cells.read):
+            given[f"d_{each}"] = sizes[each]
+            direction = tape.inputs(f"d_{each}", sizes[each])
+            symbols = [symbol.index for symbol in cells.read[each].ravel()]
+            seeds |= dict(zip(symbols, direction, strict=True))
+        flat = [value for values in results.values() for value in values]
+        slope = iter(tangents(tape, flat, seeds))
+        results |= {
+            f"d_{each}": [next(slope) for _ in range(len(values))]
+            for each, values in results.items()
+        }
+    return Function(of_lanes(registers, name, tape, given, results), (*given, *results))
