@@ -12,12 +12,13 @@ import argparse
 import dataclasses
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
 import ffsm_drake
 from ffsm_drake.plugins.task_space.free_motion import FreeMotion
-from ffsm_drake.show.figures.axes import tidy
+from ffsm_drake.show.figures.axes import STYLE
 from ffsm_drake.show.style import BLUE, VERMILION
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.systems.frame_path import goal_frame, make_frame_path
@@ -85,6 +86,7 @@ def compare(name: str) -> Comparison:
 
 def draw(found: list[Comparison]) -> Figure:
     """The distance to the path over time, a panel for each servicer."""
+    mpl.rcParams.update(STYLE)
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     for axes, one in zip(figure.subplots(1, len(found)), found, strict=True):
         for curve, color, label in zip(
@@ -95,7 +97,6 @@ def draw(found: list[Comparison]) -> Figure:
         axes.set_xlabel("time [s]")
         axes.set_ylabel("end effector from its path [m]")
         axes.legend()
-        tidy(axes)
     return figure
 
 

@@ -10,12 +10,13 @@ python docs/draw_runs.py actuators docs/thrusters_wheels.webp out/mission
 import argparse
 from pathlib import Path
 
+import matplotlib as mpl
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ffsm_drake.show.figures.axes import tidy
+from ffsm_drake.show.figures.axes import STYLE
 from ffsm_drake.show.style import SERIES
 
 GROUPS = ("base_rotation", "base_position", "joints")
@@ -67,11 +68,10 @@ def main() -> None:
     parser.add_argument("runs", type=Path, nargs="+", help="folders of runs")
     arguments = parser.parse_args()
     draw, count = DRAWN[arguments.what]
+    mpl.rcParams.update(STYLE)
     figure = Figure(figsize=(9.0, 2.6), layout="constrained")
     panels = [figure.add_subplot(1, count, number + 1) for number in range(count)]
     draw(panels, {run.name: xr.load_dataset(run / "record.nc") for run in arguments.runs})
-    for axes in panels:
-        tidy(axes)
     figure.savefig(arguments.file, dpi=110)
 
 

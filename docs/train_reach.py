@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+import matplotlib as mpl
 import numpy as np
 import onnx
 import torch
@@ -21,7 +22,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 import ffsm_drake.plugins.gymnasium  # noqa: F401 (registers the missions)
-from ffsm_drake.show.figures.axes import tidy
+from ffsm_drake.show.figures.axes import STYLE
 from ffsm_drake.show.style import BLUE
 
 MISSION = "ffsm/FreeFloating-v0"
@@ -148,6 +149,7 @@ def export(agent: PPO, scaled: VecNormalize, path: Path) -> None:
 def draw(returns: list[tuple[int, float]], path: Path) -> None:
     """The returns of episodes over the steps so far."""
     steps, values = np.array(returns).T
+    mpl.rcParams.update(STYLE)
     figure = Figure(figsize=(5.6, 2.6), layout="constrained")
     axes = figure.subplots()
     axes.plot(steps, -values, ".", color=BLUE, alpha=0.25, markersize=3, label="an episode")
@@ -158,7 +160,6 @@ def draw(returns: list[tuple[int, float]], path: Path) -> None:
     axes.set_xlabel("steps of all copies")
     axes.set_ylabel("-return")
     axes.legend(frameon=False)
-    tidy(axes)
     figure.savefig(path, dpi=110)
 
 

@@ -423,14 +423,6 @@ def print_result(as_json: bool, data: Any, text: str) -> None:
         click.echo(text)
 
 
-def save_figure(figure: Any, path: Path) -> None:
-    """Write a Matplotlib figure whole as PNG."""
-    from ffsm_drake.common.files import written_whole
-
-    with written_whole(path) as temporary:
-        figure.savefig(temporary, dpi=130)
-
-
 class FiniteFloat(click.FloatRange):
     """A number that is neither NaN nor infinite."""
 

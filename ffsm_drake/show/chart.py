@@ -51,12 +51,13 @@ class Level:
 
 @dataclasses.dataclass(frozen=True)
 class Band:
-    """Shaded spans (n, 2) of the x axis, from the bottom of the picture to its top."""
+    """Shaded spans (n, 2) of an axis, across the whole picture."""
 
     spans: np.ndarray
     color: str
     opacity: float = 0.2
     name: str = ""  # in the legend; "": not there
+    axis: Literal["x", "y"] = "x"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -66,20 +67,23 @@ class Chart:
     title: str
     curves: Sequence[Curve]
     x: str = "time [s]"
-    y: str = ""
+    y: str = ""  # unit of y, or its name
+    what: str = ""  # quantity, before the unit on the y axis of figures
     log_x: str = ""  # "": a linear axis, else Plotly's format of its tick labels
     log_y: str = ""
     range_x: Sequence[float] | None = None  # None: that of the curves
     range: Sequence[float] | None = None  # range of y
+    margin: float = 0.01  # around the curves in figures, share of their range
     levels: Sequence[Level] = ()
     bands: Sequence[Band] = ()
-    legend: bool = False
+    legend: Literal["", "inside", "right", "below"] = ""  # pages have it below
     # Panels of kind "time" share their time axis; others are "map", "space", "chart" and "full".
     kind: str = "time"
     group: str = ""  # heading above the group's first panel
     height: int = 0  # px of the panel; 0: the stylesheet's
     rows: Sequence[str] = ()  # y counts rows from the top, with these names
     traces: Sequence[Mapping[str, Any]] = ()  # Plotly's own, behind the curves; of pages only
+    note: str = ""  # why there is no curve, in figures
 
     @property
     def label_y(self) -> str:
@@ -101,10 +105,10 @@ class View:
 
 
 def merged(
-    charts: Sequence[Chart], title: str, *, dashes: Mapping[str, str] = MappingProxyType({})
+    charts: Sequence[Chart], *, dashes: Mapping[str, str] = MappingProxyType({}), **look: Any
 ) -> Chart:
     """Return the charts of one run on common axes: a colour for each chart, dashes for each group,
-    and the references (curves of no run) dashed in black.
+    and the references (curves of no run) dashed in black. ``look`` as of ``Chart``.
     """
     curves = [
         dataclasses.replace(curve, style=Style(BLACK, "dash"), name="")
@@ -117,4 +121,4 @@ def merged(
         for curve in chart.curves
     ]  # fmt: skip
     units = ", ".join(dict.fromkeys(chart.y for chart in charts))
-    return Chart(title=title, curves=curves, y=units)
+    return Chart(curves=curves, y=units, **look)

@@ -50,9 +50,3 @@ def completed_range(curves: Sequence[tuple[bool, np.ndarray]]) -> list[float] | 
     low, high = min(map(np.nanmin, completed)), max(map(np.nanmax, completed))
     margin = 0.08 * (high - low)
     return [float(low - margin), float(high + margin)] if high > low else None
-
-
-def cumulative(values: np.ndarray, total: int) -> tuple[np.ndarray, np.ndarray]:
-    """Sorted values, and for each the percentage of ``total`` that does not exceed it."""
-    ordered = np.sort(values[np.isfinite(values)])
-    return ordered, 100.0 * np.arange(1, ordered.size + 1) / max(total, 1)

@@ -2,8 +2,6 @@
 
 import dataclasses
 import functools
-import json
-import math
 import re
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -12,6 +10,7 @@ from typing import Any
 import numpy as np
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup, escape
+from plotly.io.json import to_json_plotly  # type: ignore[import-untyped]
 
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.show.chart import Curve, View
@@ -97,24 +96,8 @@ def _embedded(sections: Mapping[str, Sequence[View]]) -> Markup:
         for i, view in enumerate(views)
         for k, chart in enumerate(view.charts)
     }
-    return script_json({"template": TEMPLATE, "figures": figures})
-
-
-def script_json(data: Any) -> Markup:
-    """JSON that is safe in a script element: nothing in it closes the element or opens another."""
-    text = json.dumps(_finite(data), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-    return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    # unconverted by Plotly, such as an empty array
-    if isinstance(value, np.ndarray | np.generic):
-        return _finite(value.tolist())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    # Nothing in it closes the script element or opens another.
+    return Markup(to_json_plotly({"template": TEMPLATE, "figures": figures}, engine="json"))
 
 
 def symbols(text: str) -> Markup:

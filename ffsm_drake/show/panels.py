@@ -72,7 +72,7 @@ def panel_data(chart: Chart, points: int) -> Json:
     """Return a chart as data and layout of Plotly, with at most ``points`` points of each line; the
     page has the template.
     """
-    layout: Json = {"template": "none", "showlegend": chart.legend, "hovermode": "closest"}
+    layout: Json = {"template": "none", "showlegend": bool(chart.legend), "hovermode": "closest"}
     if chart.kind == "space":
         layout |= {"dragmode": "turntable", "margin": dict.fromkeys("lrtb", 0)}
         layout["scene"] = {"aspectmode": "data"}
@@ -160,19 +160,21 @@ def _trace(curve: Curve, points: int) -> Json:
 def _shapes(chart: Chart) -> Iterator[Json]:
     """Lines of the levels, and boxes of the bands."""
     for level in chart.levels:
-        along, across = ("y", "x") if level.axis == "y" else ("x", "y")
-        yield {
-            "type": "line", f"{across}ref": "paper", f"{across}0": 0, f"{across}1": 1,
-            f"{along}0": level.value, f"{along}1": level.value,
-            "line": {"color": level.style.color, "dash": level.style.dash, "width": 1.2},
-        }  # fmt: skip
+        line = {"color": level.style.color, "dash": level.style.dash, "width": 1.2}
+        yield {"type": "line", "line": line, **_across(level.axis, level.value, level.value)}
     for band in chart.bands:
-        for low, high in band.spans:
-            yield {
-                "type": "rect", "yref": "paper", "y0": 0, "y1": 1, "x0": float(low),
-                "x1": float(high), "layer": "below", "fillcolor": band.color,
-                "opacity": band.opacity, "line": {"width": 0},
-            }  # fmt: skip
+        look = {"layer": "below", "opacity": band.opacity, "line": {"width": 0}}
+        for low, high in band.spans.tolist():
+            place = _across(band.axis, low, high)
+            yield {"type": "rect", "fillcolor": band.color, **look, **place}
+
+
+def _across(axis: str, low: float, high: float) -> Json:
+    """Place of a shape between two values of an axis, across the whole picture."""
+    other = "y" if axis == "x" else "x"
+    return {
+        f"{axis}0": low, f"{axis}1": high, f"{other}0": 0, f"{other}1": 1, f"{other}ref": "paper",
+    }  # fmt: skip
 
 
 def _notes(chart: Chart) -> Iterator[Json]:

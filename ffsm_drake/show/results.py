@@ -4,7 +4,7 @@ import dataclasses
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import TypeVar
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.style import Style, labels_of, styles_of
 
-T = TypeVar("T")
+P, T = ParamSpec("P"), TypeVar("T")
 
 HELD = ("generalized_force", "applied_force")  # from one sample to the next
 
@@ -141,14 +141,16 @@ def _magnitudes(
     }
 
 
-def attempt(section: str, result: Result, make: Callable[[], T]) -> tuple[T | None, str]:
+def attempt(
+    section: str, result: Result, make: Callable[P, T], *arguments: P.args, **options: P.kwargs
+) -> tuple[T | None, str]:
     """Result of ``make``, or the reason for its absence: a failing section must not prevent the
     report.
 
     Warns (MissingWarning) if a block fails.
     """
     try:
-        return make(), ""
+        return make(*arguments, **options), ""
     except FfsmError as error:
         if isinstance(error, BlockError):
             name = result.record.scenario.controller

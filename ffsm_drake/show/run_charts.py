@@ -2,7 +2,7 @@
 figures draw them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -98,22 +98,23 @@ def _rms(results: Sequence[Result], i: int, values: np.ndarray, *, late: int = 0
     """Return the moving rms of values that start ``late`` samples after the run."""
     size = moving_rms(values, results[i].record.scenario.sample_time)
     return run_curve(
-        results, i, size, x=results[i].time[late:][: size.size], width=1.8,
+        results, i, size, x=results[i].time[late:][: size.size], width=1.5,
         name="rms" if len(results) == 1 else "", points=RMS_POINTS,
     )  # fmt: skip
 
 
 def frame_charts(results: Sequence[Result]) -> list[Chart]:
     """Return the pose error of the frame that has a reference."""
-    having = [i for i, result in enumerate(results) if "frame_error" in result.record.dataset]
+    having = {
+        i: result.record.dataset["frame_error"].values
+        for i, result in enumerate(results)
+        if "frame_error" in result.record.dataset
+    }
     return [
-        _chart(
-            results, name, unit,
-            [(i, results[i].record.dataset["frame_error"].values[:, k]) for i in having],
-        )
+        _chart(results, name, unit, [(i, values[:, k]) for i, values in having.items()])
         for k, (name, unit) in enumerate(zip(FRAME_COORDINATES, FRAME_UNITS, strict=True))
         if having
-    ]  # fmt: skip
+    ]
 
 
 def path_charts(results: Sequence[Result]) -> list[Chart]:
@@ -154,57 +155,45 @@ def _path(points: np.ndarray, style: Style, name: str = "", **look: Any) -> Curv
 
 def attitude_charts(results: Sequence[Result]) -> list[Chart]:
     """Return roll, pitch and yaw of the base, and their references."""
-    places = [{"Roll": 0, "Pitch": 1, "Yaw": 2}] * len(results)
-    return _tracked(results, "base_rpy", places, dict.fromkeys(places[0], "rad"))
+    return _tracked(results, "base_rpy", {"x": "Roll", "y": "Pitch", "z": "Yaw"})
 
 
 def position_charts(results: Sequence[Result]) -> list[Chart]:
     """Position of the base and of every joint, and their references."""
-    kinds: dict[str, str] = {}
-    places: list[dict[str, int]] = []  # for each run, name -> place
-    for result in results:
-        data = result.record.dataset
-        units = result.units
-        names = data["position_name"].values.astype(str).tolist() if "position_name" in data else []
-        # not the quaternion
-        places.append({name: k for k, name in enumerate(names) if name in units})
-        kinds = {name: units[name] for name in places[-1]} | kinds
-    return _tracked(results, "position", places, kinds)
+    return _tracked(results, "position", {})
 
 
-def _tracked(
-    results: Sequence[Result],
-    variable: str,
-    places: Sequence[dict[str, int]],
-    units: dict[str, str],
-) -> list[Chart]:
-    """Columns of a variable (name -> place, by run) of every run that has them, and their
-    references, each once.
+def _tracked(results: Sequence[Result], variable: str, angles: Mapping[str, str]) -> list[Chart]:
+    """Components of a variable of any run, and their references, each once; ``angles`` names
+    components that are no coordinates.
     """
-    charts = []
-    for name, unit in units.items():
-        factor = float(np.rad2deg(1.0)) if unit == "rad" else 1.0
-        columns: list[Column] = []
-        references: dict[bytes, Curve] = {}
-        for i, (result, place) in enumerate(zip(results, places, strict=True)):
-            values, reference = (
-                values_of(result.record, f"{kind}{variable}") for kind in ("", "desired_")
-            )
-            if name not in place or values is None:
+    columns: dict[tuple[str, str], list[Column]] = {}
+    references: dict[tuple[str, str], dict[bytes, Curve]] = {}
+    for i, result in enumerate(results):
+        values, desired = (
+            values_of(result.record, f"{kind}{variable}") for kind in ("", "desired_")
+        )
+        if values is None:
+            continue
+        units = dict.fromkeys(angles, "rad") or result.units
+        data = result.record.dataset[variable]
+        for k, name in enumerate(data[data.dims[1]].values.astype(str).tolist()):
+            if name not in units:  # of the quaternion
                 continue
-            columns.append((i, factor * values[:, place[name]]))
-            if reference is not None:
-                y = factor * reference[:, place[name]]
+            is_angle = units[name] == "rad"
+            factor = float(np.rad2deg(1.0)) if is_angle else 1.0
+            key = (angles.get(name, name), "deg" if is_angle else units[name])
+            columns.setdefault(key, []).append((i, factor * values[:, k]))
+            if desired is not None:
+                y = factor * desired[:, k]
                 curve = Curve(result.time, y, _REFERENCE, "reference", width=1.2)
-                references.setdefault(y.tobytes(), curve)
-        if columns:
-            charts.append(
-                _chart(
-                    results, name, "deg" if unit == "rad" else unit, columns, width=2.0,
-                    behind=list(references.values()),
-                )
-            )  # fmt: skip
-    return charts
+                references.setdefault(key, {}).setdefault(y.tobytes(), curve)
+    return [
+        _chart(
+            results, *key, found, width=2.0, behind=list(references.get(key, {}).values())
+        )
+        for key, found in columns.items()
+    ]  # fmt: skip
 
 
 def _chart(

@@ -10,7 +10,6 @@ from ffsm_drake.cli.common import (
     out_option,
     print_result,
     run_argument,
-    save_figure,
 )
 
 
@@ -32,6 +31,7 @@ def analyze(run: Path, out: Path | None, as_json: bool) -> None:
     from ffsm_drake.plugins.analysis import analyze as analyze_record
     from ffsm_drake.plugins.analysis.figure import plot_analysis
     from ffsm_drake.runs.record import RunRecord, to_json
+    from ffsm_drake.show.figures.axes import save_figure
 
     directory = out or run
     check_writable(directory)

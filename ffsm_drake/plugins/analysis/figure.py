@@ -1,19 +1,16 @@
 """One page of an analysis: the quantities of the proof over time, with their bounds."""
 
 import dataclasses
-import textwrap
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure, SubFigure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.figure import Figure
 
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.analysis.findings import Analysis
 from ffsm_drake.show.chart import Band, Chart, Curve, Level
-from ffsm_drake.show.figures.axes import LARGEST, draw, legend_below, plain
+from ffsm_drake.show.figures.axes import plot_charts
 from ffsm_drake.show.style import (
     BAD,
     BLACK,
@@ -43,7 +40,6 @@ class _Panel:
     needed: str  # a variable of the analysis
     verdicts: dict[str, str]  # finding -> its name in the panel
     charts: Callable[[Analysis], list[Chart]]  # from top to bottom
-    columns: int = 3  # columns of the legend
 
 
 def plot_analysis(analysis: Analysis) -> Figure:
@@ -52,57 +48,38 @@ def plot_analysis(analysis: Analysis) -> Figure:
     The verdicts of a panel's findings are at the right of its title; an inapplicable panel gives
     its reason.
     """
-    figure = Figure(figsize=(13.0, 12.5), layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.07))
     attributes = analysis.series.attrs
-    subtitle = plain(
-        f"{attributes['title']}. Controller {attributes['controller']}; {attributes['outcome']}"
-    )
-    figure.suptitle("The paper's claims on this run\n" + textwrap.fill(subtitle, 140), fontsize=11)
-    grid = figure.add_gridspec(3, 2)
-    for number, panel in enumerate(_PANELS):
-        part = figure.add_subfigure(grid[number // 2, number % 2])
-        axes = (_draw if panel.needed in analysis.series else _excuse)(part, panel, analysis)
-        axes.set_title("")
-        axes.set_title(panel.title, fontsize=10, loc="left", fontweight="bold")
+    figure = plot_charts(
+        [_stack(panel, analysis) for panel in _PANELS], "The paper's claims on this run",
+        f"{attributes['title']}. Controller {attributes['controller']}; {attributes['outcome']}",
+        columns=2, size=(13.0, 12.5), heights=(1.0, 1.6),
+    )  # fmt: skip
+    for part, panel in zip(figure.subfigs, _PANELS, strict=True):
+        if panel.needed in analysis.series:
+            text, color = _verdicts(panel, analysis)
+            part.axes[0].set_title(text, fontsize=9, loc="right", color=color)
     return figure
 
 
-def _draw(part: SubFigure, panel: _Panel, analysis: Analysis) -> Axes:
-    """Return the charts of a panel, and the verdicts; returns the uppermost axes."""
-    charts = panel.charts(analysis)
-    heights = (1.0, 1.6)[: len(charts)]
-    stack = part.subplots(len(charts), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
-    for axes, chart in zip(stack, charts, strict=True):
-        draw(axes, chart)
-        axes.margins(y=0.1)
-        axes.tick_params(labelsize=8)
-        axes.xaxis.label.set_size(9)
-        axes.yaxis.label.set_size(9)
-        low, high = np.nan_to_num(axes.get_ylim(), nan=1.0)
-        # line of a huge bound
-        if chart.log_y and not 1.0 / LARGEST <= low < high <= LARGEST:
-            axes.set_ylim(max(low, 1e-12), min(max(high, 1.0), LARGEST))
-    legend_below(part, stack[-1], columns=panel.columns)
-    evaluated: dict[str, list[str]] = {}
+def _stack(panel: _Panel, analysis: Analysis) -> list[Chart]:
+    """The charts of a panel, with the legend of the lowest, or why it does not apply."""
+    if panel.needed in analysis.series:
+        *upper, last = panel.charts(analysis)
+        charts = [*upper, dataclasses.replace(last, legend="below")]
+    else:
+        reason = analysis.finding(next(iter(panel.verdicts))).statement
+        charts = [Chart(title="", curves=[], note=reason)]
+    return [dataclasses.replace(charts[0], title=panel.title), *charts[1:]]
+
+
+def _verdicts(panel: _Panel, analysis: Analysis) -> tuple[str, str]:
+    """The verdicts of a panel's findings, and the colour of the least favourable one."""
+    names = {verdict: list[str]() for verdict in _VERDICT_COLORS}
     for key, name in panel.verdicts.items():
-        evaluated.setdefault(analysis.finding(key).verdict, []).append(name)
-    evaluated.pop("measured", None)
-    text = "; ".join(f"{verdict}: {', '.join(names)}" for verdict, names in evaluated.items())
-    # The least favourable verdict determines the colour.
-    color = next(
-        (shade for verdict, shade in _VERDICT_COLORS.items() if verdict in evaluated), MUTE
-    )
-    stack[0].set_title(text, fontsize=9, loc="right", color=color)
-    return stack[0]
-
-
-def _excuse(part: SubFigure, panel: _Panel, analysis: Analysis) -> Axes:
-    """Why a panel does not apply."""
-    axes: Axes = part.subplots()
-    axes.set_axis_off()
-    reason = textwrap.fill(analysis.finding(next(iter(panel.verdicts))).statement, 60)
-    axes.text(0.5, 0.5, reason, ha="center", va="center", fontsize=10, color=MUTE)
-    return axes
+        names.get(analysis.finding(key).verdict, []).append(name)
+    found = {verdict: ", ".join(each) for verdict, each in names.items() if each}
+    text = "; ".join(f"{verdict}: {each}" for verdict, each in found.items())
+    return text, _VERDICT_COLORS[next(iter(found), "not tested")]
 
 
 def _tde_error(analysis: Analysis) -> list[Chart]:
@@ -242,24 +219,19 @@ def _spectrum(analysis: Analysis) -> list[Chart]:
 
 
 _PANELS = (
-    _Panel("(a) TDE error and its bound N*", "tde_error", {"tde_error_bound": "N*"}, _tde_error),
-    _Panel("(b) Match of inertias", "eta", {"condition_8": "condition (8)"}, _match, 2),
+    _Panel("TDE error and its bound N*", "tde_error", {"tde_error_bound": "N*"}, _tde_error),
+    _Panel("Match of inertias", "eta", {"condition_8": "condition (8)"}, _match),
     _Panel(
-        "(c) Sliding variable",
+        "Sliding variable",
         "sliding_variable",
         {"direct_bound": "bound from (7)", "ultimate_bound": "(16)"},
         _sliding_variable,
-        4,
     ),
     _Panel(
-        "(d) Lyapunov function",
-        "lyapunov",
-        {"lyapunov_derivative": "dV/dt ≤ 0 outside"},
-        _lyapunov,
-        2,
+        "Lyapunov function", "lyapunov", {"lyapunov_derivative": "dV/dt ≤ 0 outside"}, _lyapunov
     ),
     _Panel(
-        "(e) Gains against N*",
+        "Gains against N*",
         "reaching_gain",
         {
             "lemma_1_premise": "β‖s‖ < N*",
@@ -269,11 +241,7 @@ _PANELS = (
         _gains,
     ),
     _Panel(
-        "(f) Spectrum of the control force",
-        "effort_spectrum",
-        {"chattering": "chattering"},
-        _spectrum,
-        1,
+        "Spectrum of the control force", "effort_spectrum", {"chattering": "chattering"}, _spectrum
     ),
 )
 

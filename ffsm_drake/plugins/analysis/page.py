@@ -1,6 +1,5 @@
 """The report's section of findings."""
 
-import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,7 +27,7 @@ def _findings(result: Result) -> dict[str, Any]:
     findings: tuple[Finding, ...] = ()
     excuse = "The record has no sample to analyse."
     if result.record.dataset.sizes.get("time", 0):
-        analysis, problem = attempt("analysis", result, functools.partial(analyze, result.record))
+        analysis, problem = attempt("analysis", result, analyze, result.record)
         findings = () if analysis is None else analysis.findings
         excuse = problem and f"The analysis is not available for this run: {problem}."
     counted = {

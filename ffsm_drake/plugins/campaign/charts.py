@@ -9,7 +9,6 @@ import numpy as np
 from ffsm_drake.plugins.campaign.statistics import Findings, GridPoint, Runs
 from ffsm_drake.runs.metrics import METRICS
 from ffsm_drake.show.chart import Chart, Curve, Level, View
-from ffsm_drake.show.curves import cumulative
 from ffsm_drake.show.style import BLUE, NEUTRAL, UNSTABLE, Style, styles_of
 
 Json = dict[str, Any]
@@ -80,12 +79,13 @@ def _cumulative(findings: Findings, metric: str) -> Chart:
     curves, name = [], metric.upper()
     for controller, style in _styles(findings).items():
         runs = findings.table.runs[controller]
-        x, y = cumulative(runs.metrics[metric][runs.settled], runs.case.size)
+        x = np.sort(runs.metrics[metric][runs.settled & np.isfinite(runs.metrics[metric])])
+        y = 100.0 * np.arange(1, x.size + 1) / max(runs.case.size, 1)
         label = findings.spec.label(controller)
         curves.append(Curve(x, y, style, label, width=2.0, steps=True))
     return Chart(
         title=f"Cases settled with at most a given {name}", kind="chart", curves=curves, x=name,
-        y="settled [% of cases]", log_x="~g", range=_SHARE, legend=True,
+        y="settled [% of cases]", log_x="~g", range=_SHARE, legend="inside",
     )  # fmt: skip
 
 
@@ -142,7 +142,7 @@ def _grid_chart(findings: Findings, along: str, points: Sequence[GridPoint], met
         curves.append(Curve(x, y, style, findings.spec.label(name), **look))
     wide = min(values.values()) > 0 and max(values.values()) >= 100 * min(values.values())
     return Chart(
-        title=GRID_METRICS[metric], kind="chart", curves=curves, x=along, legend=True,
+        title=GRID_METRICS[metric], kind="chart", curves=curves, x=along, legend="inside",
         log_x="~e" if wide else "", log_y="~g",
     )  # fmt: skip
 
@@ -172,7 +172,7 @@ def _sensitivity(findings: Findings) -> Chart:
         "Share of the variance of failure explained by one value alone; pale: no more than chance"
     )
     x = "explained variance of failure [%]"
-    return _bars(title, traces, findings.drivers, x=x, legend=True)
+    return _bars(title, traces, findings.drivers, x=x, legend="inside")
 
 
 def _marked(runs: Runs, colors: Mapping[str, str]) -> list[tuple[np.ndarray, str, str, str]]:
@@ -234,7 +234,7 @@ def _map(findings: Findings, runs: Runs, colors: Mapping[str, str]) -> Chart:
         for which, label, color, symbol in _marked(runs, colors)
     ]  # fmt: skip
     return Chart(
-        title=findings.spec.label(runs.controller), kind="map", curves=curves, legend=True,
+        title=findings.spec.label(runs.controller), kind="map", curves=curves, legend="inside",
         traces=[boundary] if known else [], x=grid.x_name, y=grid.y_name,
         log_x="~g" * grid.x_log, log_y="~g" * grid.y_log,
     )  # fmt: skip

@@ -1,19 +1,18 @@
 """The report of a campaign: one page that opens offline, and all runs as CSV and Parquet."""
 
-import contextlib
 import dataclasses
 import datetime
 import importlib.util
 import math
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from ffsm_drake.common.errors import CampaignError, RecordError, one_line
+from ffsm_drake.common.errors import CampaignError
 from ffsm_drake.common.files import published, write_text
 from ffsm_drake.common.numbers import NONE, number, percent
 from ffsm_drake.common.steps import step
@@ -34,6 +33,7 @@ from ffsm_drake.show.page import render
 from ffsm_drake.show.table_files import Column
 from ffsm_drake.show.tables import aligned
 
+_PAGE = "report.html"
 _PREDICTED = ("stable_settled", "stable_failed", "unstable_settled", "unstable_failed")
 
 
@@ -65,45 +65,27 @@ def write_report(
       progress: called with (done, total) controllers of the map.
 
     Raises:
-      CampaignError: the database holds no result, an axis is no sampled number, or the directory
-        cannot be written.
+      CampaignError: the database holds no result, or an axis is no sampled number.
+      RecordError: the directory cannot be written.
     """
     if store.num_results() == 0:
         raise CampaignError(
             f"{store.path}: holds no result yet; wait for the first runs of 'ffsm campaign run', "
             f"or type 'ffsm campaign resume {store.path}'"
         )
-    with store.snapshot():
+    tables = ["runs.csv"] + ["runs.parquet"] * bool(importlib.util.find_spec("pyarrow"))
+    with store.snapshot(), published(directory) as folder:
         findings = find(store, axes=axes, boundary=0.0)
-        files = _write(store, findings, directory)
-    if boundary and findings.map is not None:
-        grid = find(store, axes=axes, boundary=boundary, progress=progress).map
-        findings = dataclasses.replace(findings, map=grid)
-        with _published(directory) as folder:
-            write_text(folder / "report.html", _page(store, findings))
-    return Written(files=files, summary=summary_text(findings), table=_columns(findings))
-
-
-@contextlib.contextmanager
-def _published(directory: Path) -> Iterator[Path]:
-    try:
-        with published(directory) as folder:
-            yield folder
-    except RecordError as error:
-        raise CampaignError(one_line(error)) from error
-
-
-def _write(store: Store, findings: Findings, directory: Path) -> list[Path]:
-    """Write page and tables of all runs; returns the files."""
-    tables = ["runs.csv"]
-    if importlib.util.find_spec("pyarrow") is not None:
-        tables.append("runs.parquet")
-    with _published(directory) as folder:
-        write_text(folder / "report.html", _page(store, findings))
+        write_text(folder / _PAGE, _page(store, findings))
         for name in tables:
             with step(f"writing {name}"):
                 store.export(folder / name)
-    return [directory / name for name in ("report.html", *tables)]
+    if boundary and findings.map is not None:
+        grid = find(store, axes=axes, boundary=boundary, progress=progress).map
+        findings = dataclasses.replace(findings, map=grid)
+        write_text(directory / _PAGE, _page(store, findings))
+    files = [directory / name for name in (_PAGE, *tables)]
+    return Written(files=files, summary=summary_text(findings), table=_columns(findings))
 
 
 def _columns(findings: Findings) -> list[Column]:

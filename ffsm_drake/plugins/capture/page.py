@@ -55,14 +55,8 @@ def grasp_of(result: Result) -> dict[str, Any] | None:
             number(lost),
         ]
     )
-    units = dict(
-        zip(
-            *(record.dataset[name].values.astype(str).tolist() for name in ("coordinate", "unit")),
-            strict=True,
-        )
-    )
     rates = [
-        [f"{name} [{units[name]}/s]", number(rate), number(after["velocity"][name])]
+        [f"{name} [{result.units[name]}/s]", number(rate), number(after["velocity"][name])]
         for name, rate in before["velocity"].items()
     ]
     sentence = "; ".join(facts_of(grasp))

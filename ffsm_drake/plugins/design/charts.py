@@ -81,7 +81,9 @@ def forecast_chart(
     top, levels = 1.15 * max(highest), [Level(limit, "limit")]
     if (axes.k_s_max > axes.k_s).any() and bound < top:
         levels.append(Level(bound, "k_s_max", style=Style(NEUTRAL, "dash")))
-    return Chart(title=title, y="1/s", curves=curves, levels=levels, legend=True, range=(0.0, top))
+    return Chart(
+        title=title, y="1/s", curves=curves, levels=levels, legend="inside", range=(0.0, top)
+    )
 
 
 def weakest(axes: AxisMargins) -> int:
@@ -122,7 +124,7 @@ def map_chart(margins: Margins, axes: AxisMargins, style: Style) -> Chart:
     return Chart(
         title=f"Stable below the curve, {what} of "
         f"{margins.coordinates.names[axis].replace('_', ' ')}",
-        x="inertia ratio η; shaded: met along the motion", y=unit, kind="map", legend=True,
+        x="inertia ratio η; shaded: met along the motion", y=unit, kind="map", legend="inside",
         curves=[boundary, *points], bands=[Band(np.array([[low, high]]), NEUTRAL)],
         range=(0.0, 1.3 * float(max(tops))),
     )  # fmt: skip

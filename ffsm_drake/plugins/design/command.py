@@ -17,7 +17,6 @@ from ffsm_drake.cli.common import (
     out_option,
     print_result,
     rehearsal_option,
-    save_figure,
     scenario_options,
 )
 
@@ -83,6 +82,7 @@ def stability(
     print_result(as_json, data | {"mission": found.as_data()}, "\n\n".join(tables))
     if out is not None and margins is not None:
         from ffsm_drake.plugins.design.stability_figure import plot_margins
+        from ffsm_drake.show.figures.axes import save_figure
 
         path = out / "stability.png"
         save_figure(plot_margins(margins), path)
@@ -173,6 +173,7 @@ def design(
     from ffsm_drake.plugins.design.tables import design_data, design_table
     from ffsm_drake.plugins.design.verdict import verdict
     from ffsm_drake.scenario import scenario_to_yaml
+    from ffsm_drake.show.figures.axes import save_figure
 
     check_writable(out)
     missions = list[tuple["Scenario", "Verdict"]]()

@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from ffsm_drake.plugins.design.gains import Design
 from ffsm_drake.show.chart import Chart, Curve, Level
-from ffsm_drake.show.figures.axes import draw, legend_below, plain
+from ffsm_drake.show.figures.axes import plot_charts
 from ffsm_drake.show.style import (
     BLACK,
     BLUE,
@@ -22,21 +22,13 @@ _LEAST = 1e-3  # least effort beyond perfect tracking in the drawing
 
 def plot_design(found: Design) -> Figure:
     """Front of accuracy against effort, with the LQG limit and the given and default gains."""
-    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
     scenario = found.chosen.scenario
-    figure.suptitle(
-        f"Predicted accuracy against effort: {plain(label_of(scenario.controller))}, "
-        f"{plain(scenario.description)}",
-        fontsize=11,
-    )
-    names = list(found.chosen.prediction.by_group())
-    panels = figure.subplots(1, len(names), squeeze=False)[0]
-    for axes, name in zip(panels, names, strict=True):
-        draw(axes, _chart(found, name))
-        axes.margins(0.08)
-    panels[0].set_ylabel("rms error after 5 s [rad or m]")
-    legend_below(figure, panels[-1], columns=4)
-    return figure
+    charts = [_chart(found, name) for name in found.chosen.prediction.by_group()]
+    return plot_charts(
+        [[chart] for chart in charts],
+        f"Predicted accuracy against effort: {label_of(scenario.controller)}",
+        scenario.description, columns=len(charts), size=(11.0, 4.6), below=True,
+    )  # fmt: skip
 
 
 def _chart(found: Design, group: str) -> Chart:
@@ -61,6 +53,7 @@ def _chart(found: Design, group: str) -> Chart:
     budget = max(found.requirement.budget - found.ideal_isv, _LEAST)
     return Chart(
         title=GROUP_TITLES[group], x="ISV above perfect tracking", curves=curves,
+        y="rms error after 5 s [rad or m]", margin=0.08,
         levels=[Level(budget, axis="x", style=Style(BLACK, "dash"))],
         log_x="~e", log_y="~e",
     )  # fmt: skip

@@ -6,12 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ffsm_drake.common.files import written_whole
 from ffsm_drake.common.numbers import rounded_up
 from ffsm_drake.plugins.paper.runs import (
     CONTROLLERS,
@@ -27,7 +24,7 @@ from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import load_scenario
 from ffsm_drake.show.block_diagram import closed_loop_dot, write_diagram
 from ffsm_drake.show.chart import Chart, Curve, Level
-from ffsm_drake.show.figures.axes import draw, legend_below
+from ffsm_drake.show.figures.axes import plot_charts, save_figure
 from ffsm_drake.show.figures.run import plot_efforts, plot_errors, plot_trajectories
 from ffsm_drake.show.style import BLACK, BLUE, GREEN, GRID, VERMILION, Style
 
@@ -35,23 +32,11 @@ FOLDER = "figures"
 # The two settings where every controller completes.
 DRAWN = {"euler": "explicit Euler", "bounded": "exact integration"}
 
-
-_MARKS: dict[str, dict[str, Any]] = {
-    "euler": {"marker": "o", "color": BLUE, "label": "ours, explicit Euler"},
-    "bounded": {
-        "marker": "s",
-        "color": VERMILION,
-        "label": "ours, exact integration, $K_s$ bounded",
-    },
+_MARKS = {
+    "euler": ("ours, explicit Euler", "circle", BLUE),
+    "bounded": ("ours, exact integration, Kₛ bounded", "square", VERMILION),
 }
-_PRINTED: dict[str, Any] = {
-    "marker": "D",
-    "markersize": 9,
-    "markerfacecolor": "none",
-    "markeredgewidth": 1.4,
-    "color": "black",
-    "label": "paper",
-}
+_LABELS = {"itae": "ITAE [rad s², m s²], logarithmic", "isv": "ISV [N² s, N² m² s]"}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -174,57 +159,44 @@ def write_divergence(results: Results, directory: Path) -> FigureFile:
 
 def plot_overview(rows: list[Row]) -> Figure:
     """ITAE and ISV of every row, the paper's and ours."""
-    figure = Figure(figsize=(11.0, 5.2), layout="constrained")
-    panels = figure.subplots(1, len(METRICS), sharey=True)
-    places = {
-        (disturbance, name): number * (len(CONTROLLERS) + 1) + k
-        for number, disturbance in enumerate(DISTURBANCES)
-        for k, name in enumerate(CONTROLLERS)
-    }
-    for axes, (metric, title) in zip(panels, METRICS.items(), strict=True):
-        _draw_metric(axes, rows, metric, places)
-        axes.set_title(title, fontweight="bold", pad=14)
-    panels[0].set_xscale("log")
-    panels[0].set_yticks(list(places.values()), [NAMES[name] for _, name in places])
-    panels[0].invert_yaxis()
-    for number, disturbance in enumerate(DISTURBANCES):
-        panels[0].text(
-            -0.16, number * (len(CONTROLLERS) + 1) - 0.8, _math(DISTURBANCE_NAMES[disturbance]),
-            transform=panels[0].get_yaxis_transform(),
-        )  # fmt: skip
-    # one for each label
-    handles = dict(zip(*panels[0].get_legend_handles_labels()[::-1], strict=True))
-    figure.legend(
-        handles=list(handles.values()), loc="outside lower center", ncols=3, frameon=False
-    )
-    return figure
+    cases = [(kind, name) for kind in DISTURBANCES for name in ("", *CONTROLLERS)]
+    charts = [_overview(rows, metric, cases) for metric in METRICS]
+    return plot_charts(
+        [[chart] for chart in charts], "Table 2", "the paper's values and ours", columns=2,
+        size=(11.0, 5.2), below=True,
+    )  # fmt: skip
 
 
-def _draw_metric(
-    axes: Axes, rows: list[Row], metric: str, places: dict[tuple[str, str], int]
-) -> None:
-    """A metric of every case (disturbance, controller) at its place, the paper's and ours."""
+def _overview(rows: list[Row], metric: str, cases: list[tuple[str, str]]) -> Chart:
+    """A metric of every case (disturbance, controller) in its row, below the disturbance's name."""
     cells = {(row.setting, row.disturbance, row.controller): getattr(row, metric) for row in rows}
-    for case, place in places.items():
-        printed = cells["euler", *case].paper
-        means = {setting: cells[setting, *case].mean for setting in _MARKS}
-        values = [printed, *means.values()]
-        ends = [np.nanmin(values), np.nanmax(values)]
-        axes.plot(ends, [place] * 2, color=GRID, linewidth=2, zorder=1)
-        for setting, mark in _MARKS.items():
-            axes.plot(means[setting], place, linestyle="none", markersize=7, **mark)
-        axes.plot(printed, place, linestyle="none", zorder=3, **_PRINTED)
-    labels = {"itae": "ITAE [rad s², m s²], logarithmic", "isv": "ISV [N² s, N² m² s]"}
-    axes.set_xlabel(labels[metric])
-    axes.grid(True, axis="x", color=GRID, linewidth=0.6)
-    axes.spines[["top", "right", "left"]].set_visible(False)
-    axes.tick_params(axis="y", length=0)
+    places = np.array([k for k, (_, name) in enumerate(cases) if name], dtype=float)
+    of = [case for case in cases if case[1]]
+    printed = np.array([cells["euler", *case].paper for case in of], dtype=float)
+    means = {
+        setting: np.array([cells[setting, *case].mean for case in of], dtype=float)
+        for setting in _MARKS
+    }
+    every = np.array([printed, *means.values()])
+    gaps = np.full(len(of), np.nan)
+    spans = np.stack([np.nanmin(every, axis=0), np.nanmax(every, axis=0), gaps], axis=1)
+    look: dict[str, Any] = {"line": False, "size": 9.0}
+    return Chart(
+        title=METRICS[metric], x=_LABELS[metric], log_x="~e" if metric == "itae" else "",
+        rows=[NAMES[name] if name else DISTURBANCE_NAMES[kind] for kind, name in cases],
+        curves=[
+            Curve(spans.ravel(), np.repeat(places, 3), Style(GRID), width=2.0),
+            *(
+                Curve(means[setting], places, Style(color), label, marker=marker, **look)
+                for setting, (label, marker, color) in _MARKS.items()
+            ),
+            Curve(printed, places, Style(BLACK), "paper", marker="diamond-open", **look),
+        ],
+    )  # fmt: skip
 
 
 def plot_divergence(results: Results) -> Figure:
     """K_s and the error of the proposed controller in the three settings."""
-    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
-    panels = figure.subplots(1, 2)
     styles = {
         "exact": Style(VERMILION),
         "euler": Style(BLUE, "dash"),
@@ -234,29 +206,32 @@ def plot_divergence(results: Results) -> Figure:
     for setting, style in styles.items():
         run, record = results.run(setting, PROPOSED), results.record(setting, PROPOSED)
         data, name = record.dataset, SETTINGS[setting].title.replace("K_s", "Kₛ")
-        if not run.outcome.completed:
-            name = f"{name}: {ending(run)}"
         time, gain = data["time"].values, data["reaching_gain"].values.max(axis=1)
         error = np.abs(data["error"].values).sum(axis=1)
         error = np.where(error > 0.0, error, np.nan)
-        gains.append(Curve(time, gain, style, name, width=1.8))
-        errors.append(Curve(time, error, Style(style.color), width=0.8))
         if run.outcome.completed:
             top = max(top, float(gain.max()))
         else:
+            name = f"{name}: {ending(run)}"
             for curves, y in ((gains, gain), (errors, error)):
                 end = Style(style.color)
                 curves.append(Curve(time[-1:], y[-1:], end, line=False, marker="x", size=12.0))
+        gains.append(Curve(time, gain, style, width=1.8))
+        errors.append(Curve(time, error, style, name, width=0.8))
     scenario = results.record("exact", PROPOSED).scenario
     limit = 2.0 / scenario.sample_time - gain_of(scenario, "k_d")
     level = Level(limit, f"limit {fixed(limit)}", style=Style(BLACK, "dot"))
-    extent = (0.0, 1.15 * max(top, limit))
-    gain_chart = Chart(title="Adapted gain", y="1/s", curves=gains, levels=[level], range=extent)
-    draw(panels[0], gain_chart, what="largest Kₛ")
-    error_chart = Chart(title="Tracking error", y="rad, m", curves=errors, log_y="~e")
-    draw(panels[1], error_chart, what="‖e‖₁")
-    legend_below(figure, panels[0])
-    return figure
+    charts = (
+        Chart(
+            title="Adapted gain", y="1/s", what="largest Kₛ", curves=gains, levels=[level],
+            range=(0.0, 1.15 * max(top, limit)),
+        ),
+        Chart(title="Tracking error", y="rad, m", what="‖e‖₁", curves=errors, log_y="~e"),
+    )  # fmt: skip
+    return plot_charts(
+        [[chart] for chart in charts], "The proposed controller", scenario.description,
+        columns=2, size=(11.0, 4.2), below=True,
+    )  # fmt: skip
 
 
 def _largest_departure(record: RunRecord) -> str:
@@ -268,19 +243,6 @@ def _largest_departure(record: RunRecord) -> str:
 
 def _write(figure: Figure, name: str, title: str, caption: str, directory: Path) -> FigureFile:
     png, svg = (directory / FOLDER / f"{name}{suffix}" for suffix in (".png", ".svg"))
-    with written_whole(png) as temporary:
-        figure.savefig(temporary, dpi=140)
-    # The same figure gives the same file.
-    with mpl.rc_context({"svg.hashsalt": name}), written_whole(svg) as temporary:
-        figure.savefig(temporary, dpi=200, metadata={"Date": None})
+    for path in (png, svg):
+        save_figure(figure, path)
     return FigureFile(key=name, title=title, caption=caption, png=png, svg=svg)
-
-
-def _math(text: str) -> str:
-    """Subscripts of the few symbols that the texts use, as Matplotlib writes them."""
-    for plain, mathematical in (
-        ("K_s", "$K_s$"),
-        *[(f"τ_d{k}", rf"$\tau_{{d{k}}}$") for k in (1, 2, 3)],
-    ):
-        text = text.replace(plain, mathematical)
-    return text

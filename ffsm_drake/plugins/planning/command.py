@@ -10,7 +10,6 @@ from ffsm_drake.cli.common import (
     json_option,
     out_option,
     print_result,
-    save_figure,
     scenario_options,
     scenario_stem,
 )
@@ -51,6 +50,7 @@ def plan(scenario: "Scenario", out: Path | None, time_limit: float, as_json: boo
     from ffsm_drake.plugins.planning.planner import plan_motion
     from ffsm_drake.plugins.planning.tables import plan_data, plan_table
     from ffsm_drake.scenario import override_scenario
+    from ffsm_drake.show.figures.axes import save_figure
     from ffsm_drake.systems.controllers import declared_gains
 
     directory = out or Path("out") / f"{scenario_stem()}_plan"

@@ -3,10 +3,13 @@
 
 import dataclasses
 import functools
+import itertools
 import math
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.numbers import NONE, number, percent
@@ -23,8 +26,14 @@ _MAGNITUDES = {
     "peak_error": "Peak error",
     "final_error": "Final error",
     "peak_effort": "Peak commanded force or torque",
+    "peak_applied": "Peak applied force or torque",
 }
-_APPLIED = {"peak_applied": "Peak applied force or torque"}
+_PARTS = {"rotation": ("Attitude", "rad"), "position": ("Position", "m")}
+_MOVED = {
+    "error of the frame": frame_figures,
+    "drift of the base from its start": drift_metrics,
+}
+_TIMES = {"advance_to": "Wall time, simulation", "total": "Total wall time"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,50 +63,55 @@ def table(results: Sequence[Result], distances: Sequence[float] | None = None) -
         Row("Effort, ISV", _compared(results, operator.attrgetter("isv"), digits=5)),
     ]
     if distances is not None:
-        rows.append(
-            Row(
-                "Error over the least possible",
-                [Cell(number(distance, 3)) for distance in distances],
-            )
-        )
-    kinds = list(dict.fromkeys(kind for result in results for kind in result.magnitudes))
-    groups = [group for group, _ in kinds]
+        rows.append(_row("Error over the least possible", distances, digits=3))
+    rows += _magnitude_rows(results)
     shares = [saturation(result.record) for result in results]
-    untracked = _untracked(results)
-    for field, head in (_MAGNITUDES | (_APPLIED if actuators_act(results) else {})).items():
-        for k, (group, unit) in enumerate(kinds):
-            kind = (
-                f", {'revolute' if unit == 'rad' else 'prismatic'}"
-                if groups.count(group) > 1
-                else ""
-            )
-            found = [result.magnitudes.get((group, unit), {}) for result in results]
-            cells = [Cell(number(each.get(field))) for each in found]
-            is_force = field in ("peak_effort", "peak_applied")
-            shown = EFFORT_UNITS.get(unit, unit) if is_force else unit
-            kind += ", not tracked" if group in untracked and not is_force else ""
-            rows.append(
-                Row(
-                    GROUP_TITLES.get(group, group) + kind, cells, unit=shown, head="" if k else head
-                )
-            )
-    for k, name in enumerate(dict.fromkeys(name for share in shares for name in share)):
+    head = "Samples at the limit of the actuators"
+    for name in dict.fromkeys(name for share in shares for name in share):
         cells = [Cell(percent(share.get(name, 0.0))) for share in shares]
-        rows.append(
-            Row(
-                name.replace("_", " "),
-                cells,
-                head="" if k else "Samples at the limit of the actuators",
-            )
-        )
-    rows += _of_frame(results)
-    rows += _of_drift(results)
+        rows.append(Row(name.replace("_", " "), cells, head=head))
+    for what, figures_of in _MOVED.items():
+        found = [figures_of(result.record.dataset) for result in results]
+        for moment in ("largest", "final"):
+            sizes = [figures.get(moment, {}) for figures in found]
+            head = f"{moment.capitalize()} {what}"
+            for key in dict.fromkeys(key for each in sizes for key in each):
+                label, unit = _PARTS[key.removeprefix("base_")]
+                rows.append(_row(label, [each.get(key) for each in sizes], unit, head=head))
     rows += _part_rows(results)
-    simulated = [Cell(f"{result.record.outcome.time:g}") for result in results]
-    rows.append(Row("Simulated time", simulated, unit="s", head="Computation"))
-    for label, key in (("Wall time, simulation", "advance_to"), ("Total wall time", "total")):
-        cells = [Cell(number(result.record.wall_time.get(key), 3)) for result in results]
-        rows.append(Row(label, cells, unit="s"))
+    times = [Cell(f"{result.record.outcome.time:g}") for result in results]
+    rows.append(Row("Simulated time", times, unit="s", head="Computation"))
+    for key, label in _TIMES.items():
+        seconds = [result.record.wall_time.get(key) for result in results]
+        rows.append(_row(label, seconds, "s", head="Computation", digits=3))
+    return [
+        dataclasses.replace(row, head="" if row.head == above.head else row.head)
+        for above, row in itertools.pairwise([Row("", []), *rows])
+    ]
+
+
+def _row(
+    label: str, values: Iterable[float | None], unit: str = "", *, head: str = "", digits: int = 4
+) -> Row:
+    return Row(label, [Cell(number(value, digits)) for value in values], unit, head)
+
+
+def _magnitude_rows(results: Sequence[Result]) -> list[Row]:
+    """Largest and final sizes by group and unit."""
+    kinds = list(dict.fromkeys(kind for result in results for kind in result.magnitudes))
+    groups, rows = [group for group, _ in kinds], []
+    untracked, act = _untracked(results), actuators_act(results)
+    for (field, head), (group, unit) in itertools.product(_MAGNITUDES.items(), kinds):
+        if field == "peak_applied" and not act:
+            continue
+        label, is_force = GROUP_TITLES.get(group, group), "error" not in field
+        if groups.count(group) > 1:
+            label += f", {'revolute' if unit == 'rad' else 'prismatic'}"
+        if group in untracked and not is_force:
+            label += ", not tracked"
+        sizes = (result.magnitudes.get((group, unit), {}).get(field) for result in results)
+        shown = EFFORT_UNITS.get(unit, unit) if is_force else unit
+        rows.append(_row(label, sizes, shown, head=head))
     return rows
 
 
@@ -107,49 +121,10 @@ def _untracked(results: Sequence[Result]) -> set[str]:
     """
     groups = {group for result in results for group, _ in result.magnitudes}
     for data in (result.record.dataset for result in results):
-        if "error" not in data:
-            continue
-        by_coordinate = dict(
-            zip(
-                data["coordinate"].values.astype(str), data["group"].values.astype(str), strict=True
-            )
-        )
-        groups -= {by_coordinate[name] for name in tracked_of(data).names if name in by_coordinate}
+        if "error" in data:
+            tracked = np.isin(data["coordinate"].values, tracked_of(data).names)
+            groups -= set(data["group"].values[tracked].astype(str).tolist())
     return groups
-
-
-def _of_frame(results: Sequence[Result]) -> list[Row]:
-    """Distance of the tracked frame from its reference; empty if no run tracks one."""
-    found = [frame_figures(result.record.dataset) for result in results]
-    return _by_moment(
-        found, "error of the frame", (("rotation", "attitude", "rad"), ("position", "", "m"))
-    )
-
-
-def _of_drift(results: Sequence[Result]) -> list[Row]:
-    """Drift of the undriven base."""
-    parts = (("base_rotation", "attitude", "rad"), ("base_position", "", "m"))
-    found = [drift_metrics(result.record.dataset) for result in results]
-    return _by_moment(found, "drift of the base from its start", parts)
-
-
-def _by_moment(
-    found: Sequence[Mapping[str, Any]], what: str, parts: Sequence[tuple[str, str, str]]
-) -> list[Row]:
-    """Rows of ``largest`` and ``final`` sizes by part (key, name, unit), which not every run
-    has.
-    """
-    rows = []
-    for moment in ("largest", "final"):
-        of_moment = [figures.get(moment, {}) for figures in found]
-        kept = [part for part in parts if any(part[0] in each for each in of_moment)]
-        for k, (key, name, unit) in enumerate(kept):
-            cells = [Cell(number(each.get(key))) for each in of_moment]
-            head = "" if k else f"{moment.capitalize()} {what}"
-            rows.append(
-                Row((name or key.rpartition("_")[2]).capitalize(), cells, unit=unit, head=head)
-            )
-    return rows
 
 
 def _part_rows(results: Sequence[Result]) -> list[Row]:
@@ -160,7 +135,7 @@ def _part_rows(results: Sequence[Result]) -> list[Row]:
         {(each.part, each.key, each.label, each.unit): each for each in result.record.figures}
         for result in results
     ]
-    rows, above = [], ""
+    rows = []
     for place in dict.fromkeys(place for figures in found for place in figures if place[2]):
         of_runs = [figures.get(place) for figures in found]
         figure = next(each for each in of_runs if each is not None)
@@ -170,15 +145,13 @@ def _part_rows(results: Sequence[Result]) -> list[Row]:
             if each is not None and isinstance(each.value, Mapping)
             for name in each.value
         )
-        head = figure.label if names else figure.part
         for name in names or ("",):
             cells = [Cell(NONE if each is None else each.text(name)) for each in of_runs]
             if figure.ranked:
                 cells = _compared(results, functools.partial(size_in, figure), digits=4)
             label = name.replace("_", " ") or figure.label
-            shown = "" if head == above else head
-            rows.append(Row(label, cells, unit=figure.shown_unit, head=shown))
-            above = head
+            head = figure.label if names else figure.part
+            rows.append(Row(label, cells, figure.shown_unit, head))
     return rows
 
 
@@ -193,13 +166,12 @@ def _compared(
     """A sum over each run; the least of several completed ones is marked."""
     completed = [figure(result) for result in results if _placed(result, figure)]
     best = min(completed) if len(completed) > 1 else None
-    kinds = [
-        "partial" if not one.comparable else "best" if figure(one) == best else ""
-        for one in results
-    ]
     return [
-        Cell(number(figure(result), digits), kind)
-        for result, kind in zip(results, kinds, strict=True)
+        Cell(
+            number(value := figure(one), digits),
+            "partial" if not one.comparable else "best" if value == best else "",
+        )
+        for one in results
     ]
 
 
@@ -257,7 +229,6 @@ def rankings(results: Sequence[Result]) -> list[dict[str, Any]]:
     """The runs by accuracy and by effort: place, value, and how many times the best one's value
     that is.
     """
-    made = []
     figures: list[tuple[str, Callable[[Result], float], int]] = [
         ("By accuracy (ITAE)", operator.attrgetter("itae"), 4),
         ("By effort (ISV)", operator.attrgetter("isv"), 5),
@@ -266,31 +237,26 @@ def rankings(results: Sequence[Result]) -> list[dict[str, Any]]:
         size = functools.partial(size_in, first)
         if any(math.isfinite(size(result)) for result in results):
             figures.append((f"By {first.label.lower()} ({first.shown_unit})", size, 4))
-    for title, figure, digits in figures:
-        ranked = ranking(results, figure)
-        entries = []
-        for place, result in enumerate(ranked, start=1):
-            value, best = figure(result), figure(ranked[0])
-            if _placed(result, figure):
-                times = _times(value / best) if place > 1 and best > 0.0 else ""
-                entries.append(
-                    {
-                        "place": place,
-                        "result": result,
-                        "text": number(value, digits),
-                        "times": times,
-                    }
-                )
-            else:
-                outcome = result.record.outcome
-                text = (
-                    "not recorded"
-                    if result.comparable
-                    else (f"{outcome.status} at {outcome.time:.2f} s")
-                )
-                entries.append({"place": "–", "result": result, "text": text, "times": ""})
-        made.append({"title": title, "entries": entries})
-    return made
+    return [
+        {"title": title, "entries": list(_ranked(ranking(results, figure), figure, digits))}
+        for title, figure, digits in figures
+    ]
+
+
+def _ranked(
+    ranked: Sequence[Result], figure: Callable[[Result], float], digits: int
+) -> Iterator[dict[str, Any]]:
+    """The entries of a ranking."""
+    best = figure(ranked[0])
+    for place, result in enumerate(ranked, start=1):
+        value, outcome = figure(result), result.record.outcome
+        if _placed(result, figure):
+            times = _times(value / best) if place > 1 and best > 0.0 else ""
+            yield {"place": place, "result": result, "text": number(value, digits), "times": times}
+        else:
+            ended = f"{outcome.status} at {outcome.time:.2f} s"
+            text = "not recorded" if result.comparable else ended
+            yield {"place": "–", "result": result, "text": text, "times": ""}
 
 
 def _times(ratio: float) -> str:

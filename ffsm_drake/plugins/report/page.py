@@ -2,7 +2,6 @@
 them as one file.
 """
 
-import functools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -215,16 +214,14 @@ def _remarks(result: Result, folder: Path) -> Json:
     record = result.record
     if not record.dataset.sizes.get("time", 0):
         return {"broken": [], "said": []}
-    broken, _ = attempt(
-        "limits", result, functools.partial(broken_limits, record.scenario, record.dataset)
-    )
-    advice_on = optional(SERVICES, "advice") or (lambda record: ())
-    helps, _ = attempt("advice", result, functools.partial(advice_on, record))
-    warned, _ = attempt("warnings", result, functools.partial(run_remarks, record))
-    told, _ = attempt("parts", result, lambda: [part.sentence for part in record.parts])
-    lines = [*(told or ()), *(warned or ()), *(helps or ())]
-    if helps and (remedy_of := optional(SERVICES, "remedy")) is not None:
-        file, _ = attempt("remedy", result, functools.partial(remedy_of, record, folder))
+    broken, _ = attempt("limits", result, broken_limits, record.scenario, record.dataset)
+    lines: list[str | None] = [part.sentence for part in record.parts]
+    lines += attempt("warnings", result, run_remarks, record)[0] or ()
+    advice, remedy = optional(SERVICES, "advice"), optional(SERVICES, "remedy")
+    helps = advice and attempt("advice", result, advice, record)[0]
+    if helps:
+        lines += helps
+        file = remedy and attempt("remedy", result, remedy, record, folder)[0]
         lines.append(file and f"a changed scenario is in {file}; run it with: ffsm run {file}")
     said = dict.fromkeys(line for line in lines if line and line not in (broken or ()))
     return {"broken": broken or [], "said": [f"{_begun(line)}." for line in said]}

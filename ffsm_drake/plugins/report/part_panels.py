@@ -89,36 +89,35 @@ def _curves(results: Sequence[Result], drawn: Sequence[tuple[int, Drawing]]) -> 
     units = {name: unit for _, drawing in drawn for name, unit in drawing.panels.items()}
     curves: dict[str, list[Curve]] = {name: [] for name in units}
     for i, drawing in drawn:
-        signal = results[i].record.dataset[drawing.signal]
-        columns = dict.fromkeys(drawing.panels, signal.values)
-        if signal.ndim == 2:
-            names = signal[signal.dims[1]].values.astype(str).tolist()
-            columns = dict(zip(names, signal.values.T, strict=True))
+        steps = drawing.chart == STEPS
         for name in drawing.panels:
-            steps = drawing.chart == STEPS
-            curves[name].append(run_curve(results, i, columns[name], steps=steps))
+            values = _component(results[i], drawing.signal, name)
+            curves[name].append(run_curve(results, i, values, steps=steps))
             curves[name] += _band(results, i, drawing, name)
     return [
         Chart(title=name.replace("_", " "), y=units[name], curves=curves[name]) for name in units
     ]
 
 
+def _component(result: Result, signal: str, name: str) -> np.ndarray:
+    values = result.record.dataset[signal]
+    found: np.ndarray = (values if values.ndim == 1 else values.sel({values.dims[1]: name})).values
+    return found
+
+
 def _band(results: Sequence[Result], i: int, drawing: Drawing, name: str) -> list[Curve]:
     """Three standard deviations of a component, both ways, if the run has them: an ``<x>_error``
     has them in ``<x>_deviation``.
     """
-    dataset, known = results[i].record.dataset, drawing.signal.replace("_error", "_deviation")
-    if known == drawing.signal or known not in dataset:
+    known = drawing.signal.replace("_error", "_deviation")
+    if known == drawing.signal or known not in results[i].record.dataset:
         return []
-    values, color = dataset[known], results[i].style.color
-    column = values[:, values[values.dims[1]].values.astype(str).tolist().index(name)].values
+    look: dict[str, Any] = {"width": 0.8, "steps": drawing.chart == STEPS, "opacity": 0.5}
+    style, values = Style(results[i].style.color), _component(results[i], known, name)
     return [
-        run_curve(
-            results, i, sign * column, name="3 deviations", style=Style(color), width=0.8,
-            steps=drawing.chart == STEPS, opacity=0.5,
-        )
+        run_curve(results, i, sign * values, name="3 deviations", style=style, **look)
         for sign in (3.0, -3.0)
-    ]  # fmt: skip
+    ]
 
 
 def _timelines(results: Sequence[Result], drawn: Sequence[tuple[int, Drawing]]) -> list[Chart]:

@@ -10,6 +10,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.numbers import number
+from ffsm_drake.show.meshcat.solids import draw_over
 from ffsm_drake.show.meshcat.stage import base_bounding_box
 
 if TYPE_CHECKING:
@@ -90,8 +91,7 @@ class Arrow:
         for part, (shape, pose) in parts.items():
             meshcat.SetObject(part, shape, Rgba(*color, 1.0))
             meshcat.SetTransform(part, pose)
-            meshcat.SetProperty(f"{part}/<object>", "material.depthTest", False)
-            meshcat.SetProperty(f"{part}/<object>", "renderOrder", 1.0)  # after the spacecraft
+            draw_over(meshcat, part)
 
     def show(
         self,

@@ -8,6 +8,7 @@ from pydrake.geometry import Meshcat, Rgba
 from pydrake.math import RigidTransform
 
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.show.meshcat.solids import draw_over
 from ffsm_drake.show.meshcat.stage import SpacecraftView, base_bounding_box
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
 from ffsm_drake.systems.frame_path import goal_frame
@@ -34,8 +35,7 @@ def draw_drift(meshcat: Meshcat, spacecraft: SpacecraftView, positions: np.ndarr
         "drift/path", np.asfortranarray(positions[:, 4:NUM_BASE_POSITIONS].T), 4.0, _START_COLOR
     )
     for path in ("drift/start", "drift/path"):  # else the base would hide them
-        meshcat.SetProperty(f"{path}/<object>", "material.depthTest", False)
-        meshcat.SetProperty(f"{path}/<object>", "renderOrder", 1.0)
+        draw_over(meshcat, path)
 
 
 def draw_frame_path(

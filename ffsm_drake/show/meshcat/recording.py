@@ -3,6 +3,7 @@
 import html
 import math
 from pathlib import Path
+from typing import Any
 
 from ffsm_drake.common.files import write_text
 from ffsm_drake.common.steps import step
@@ -125,22 +126,12 @@ def recording_html(
     return _with_caption(meshcat.StaticHtml(), record, view, speed=speed)
 
 
-def write_recording(
-    record: RunRecord,
-    file: str | Path,
-    *,
-    speed: float = 1.0,
-    ghost: bool = True,
-    path: bool = True,
-    forces: bool = False,
-) -> None:
+def write_recording(record: RunRecord, file: str | Path, **options: Any) -> None:
     """Write the page of ``recording_html``, with its arguments and errors.
 
     Raises RecordError if the file cannot be written.
     """
-    write_text(
-        Path(file), recording_html(record, speed=speed, ghost=ghost, path=path, forces=forces)
-    )
+    write_text(Path(file), recording_html(record, **options))
 
 
 def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: float) -> str:

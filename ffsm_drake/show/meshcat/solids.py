@@ -17,6 +17,12 @@ def solids_of(scenario: Scenario) -> list[Solid]:
     return [solid for part in section_parts(scenario).values() for solid in part.solids()]
 
 
+def draw_over(meshcat: Meshcat, path: str) -> None:
+    """Draw an object over everything else."""
+    meshcat.SetProperty(f"{path}/<object>", "material.depthTest", False)
+    meshcat.SetProperty(f"{path}/<object>", "renderOrder", 1.0)  # after the spacecraft
+
+
 def draw_solids(meshcat: Meshcat, base: str, solids: Iterable[Solid], *, longest: float) -> None:
     """Add solids to the base.
 
@@ -40,8 +46,7 @@ def draw_solids(meshcat: Meshcat, base: str, solids: Iterable[Solid], *, longest
         center = solid.position + longest * solid.offset * along
         meshcat.SetTransform(path, RigidTransform(rotation, center))
         if solid.through:
-            meshcat.SetProperty(f"{path}/<object>", "material.depthTest", False)
-            meshcat.SetProperty(f"{path}/<object>", "renderOrder", 1.0)  # after the spacecraft
+            draw_over(meshcat, path)
 
 
 def _path(base: str, solid: Solid) -> str:

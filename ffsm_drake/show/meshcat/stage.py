@@ -31,7 +31,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from ffsm_drake.common.door import random_loopback
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.show.meshcat.solids import draw_solids, solids_of
+from ffsm_drake.show.meshcat.solids import draw_over, draw_solids, solids_of
 from ffsm_drake.spacecraft.boxes import box_around, box_corners
 from ffsm_drake.spacecraft.plant import (
     add_combined_plant,
@@ -295,15 +295,11 @@ class SpacecraftView:
 
     def _show_through(self, body: str) -> None:
         """Draw a body over everything else."""
-        frame, inspector = (
-            self.plant.GetBodyFrameIdOrThrow(self.plant.GetBodyByName(body).index()),
-            self.scene_graph.model_inspector(),
-        )
+        frame = self.plant.GetBodyFrameIdOrThrow(self.plant.GetBodyByName(body).index())
+        inspector = self.scene_graph.model_inspector()
         for geometry in inspector.GetGeometries(frame, Role.kIllustration):
-            path = f"{self._path_of(frame)}/{inspector.GetName(geometry).replace('::', '/')}"
-            self._meshcat.SetProperty(f"{path}/<object>", "material.depthTest", False)
-            # after the spacecraft
-            self._meshcat.SetProperty(f"{path}/<object>", "renderOrder", 1.0)
+            name = inspector.GetName(geometry).replace("::", "/")
+            draw_over(self._meshcat, f"{self._path_of(frame)}/{name}")
 
     def _path_of(self, frame: FrameId) -> str:
         name = self.scene_graph.model_inspector().GetName(frame)

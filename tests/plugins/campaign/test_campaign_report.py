@@ -2,7 +2,6 @@
 it.
 """
 
-import json
 import math
 import re
 import shlex
@@ -12,7 +11,7 @@ import time
 import numpy as np
 import pytest
 from campaign_tools import invoke, run_here, sql, write_spec
-from opened_page import OpenedPage
+from html_page import Page
 from scipy import stats
 from steps_seen import steps_seen
 
@@ -274,15 +273,12 @@ def test_labels_name_controllers_everywhere(tmp_path, monkeypatch):
         assert label in status_text(store)
     assert written.table[0].cells == [label, "TDC"]
     page = (tmp_path / "page/report.html").read_text()
-    shown, figures = (
-        page.split('id="figures">')[0],
-        json.loads(re.search(r'id="figures">(.*?)</script>', page)[1]),
-    )
+    shown, figures = page.split('id="figures">')[0], Page(page).script("figures")
     assert "labelled_law:Idle" not in re.sub(
         "<code>.*?</code>|<pre.*?</pre>", "", shown, flags=re.S
     )
     assert "Idle &lt;3&gt;" in shown
-    assert "labelled_law" not in json.dumps(figures)
+    assert "labelled_law" not in figures
     assert not re.search(r"<td>[^<]*\de[-+]\d", page)  # numbers of one form
     with pytest.raises(CampaignError, match="labels: must give controllers of this campaign"):
         load_spec(write_spec(tmp_path / "s.yaml", **LABELLED, labels={"other": "x"}))
@@ -361,10 +357,10 @@ def test_the_report_is_one_page_that_needs_nothing_else(database, tmp_path, monk
     assert "TDC & $12$ & $83.3$ & $51.6$ & $97.9$" in table
     assert re.search(r"predicted unstable +\d+ +[1-9]", result.output)
     page = (tmp_path / "report.html").read_text()
-    opened = OpenedPage(page)
-    assert opened.addresses == []
+    read = Page(page)
+    assert read.addresses == []
     assert "with &lt;angle&gt; brackets &amp; &lt;/script&gt;" in page
-    figures = json.loads(re.search(r'id="figures">(.*?)</script>', page)[1])["figures"]
+    figures = read.figures
     assert {key.split("-")[0] for key in figures} == {
         "success",
         "accuracy",
@@ -372,8 +368,7 @@ def test_the_report_is_one_page_that_needs_nothing_else(database, tmp_path, monk
         "map",
     }
     assert "No sampled value explains more of it than chance would" in page  # in 12 cases
-    shown = {given.get("data-figure") for _, given in opened.elements} - {None}
-    assert shown == set(figures)
+    assert set(read.captions) == set(figures)
     assert all(figure["data"] for figure in figures.values())
     assert len(re.findall(r"plotly\.js v\d", page)) == 1
     assert (tmp_path / "runs.csv").read_text().count("\n") == 25

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import needs_chromium, pictured
-from opened_page import OpenedPage
+from html_page import Page
 
 from ffsm_drake import FfsmError, ScenarioError, load_scenario, simulate
 from ffsm_drake.plugins.paper import (
@@ -389,9 +389,9 @@ def test_condition_8_admits_what_diverges(results):
 
 def test_the_page_is_self_contained(written):
     text = (written / "reproduction.html").read_text()
-    page = OpenedPage(text)
+    page = Page(text)
     assert all(address.startswith("#") for address in page.addresses)
-    tags = [tag for tag, _ in page.elements]
+    tags = page.names
     assert not {"script", "iframe", "object"} & set(tags)
     assert "url(" not in text
     assert "@import" not in text

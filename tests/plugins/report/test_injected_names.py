@@ -2,13 +2,12 @@
 
 import dataclasses
 import html
-import json
 import re
-from html.parser import HTMLParser
 
 import pytest
 from browser import answer_of, needs_chromium
 from click.testing import CliRunner
+from html_page import Page
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
@@ -34,26 +33,11 @@ quick = settings(
 )
 
 
-class Tags(HTMLParser):
-    """The elements that a browser would make of a page, and its figures."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.names, self._id, self.figures = [], None, ""
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attributes):
-        self.names.append(tag)
-        self._id = dict(attributes).get("id")
-        assert not [name for name, _ in attributes if name.startswith("on")]
-
-    def handle_data(self, data):
-        if self._id == "figures":
-            self.figures += data
-
-    def handle_endtag(self, tag):
-        self._id = None
+def safe_page(text):
+    """The page, none of whose elements reacts to an event."""
+    page = Page(text)
+    assert not [name for _, attributes in page.tags for name in attributes if name[:2] == "on"]
+    return page
 
 
 def run_page(record, name):
@@ -115,14 +99,17 @@ def short(run):
     return run("postcapture", "duration=0.05")
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_analysis")
 @quick
 @given(NAMES)
 def test_a_run_s_page_has_no_element_more(short, name):
-    plain, page = (Tags(run_page(short, each)) for each in ("harmless", name))
+    plain, page = (safe_page(run_page(short, each)) for each in ("harmless", name))
     assert page.names == plain.names
-    assert json.loads(page.figures)
+    assert page.figures
+    frames = [attributes for tag, attributes in page.tags if tag == "iframe"]
+    shown = [(frame["srcdoc"], frame["sandbox"]) for frame in frames]
+    assert shown == [(name, "allow-scripts")] * bool(name)
 
 
 @pytest.fixture
@@ -138,10 +125,11 @@ def coarse_map(monkeypatch):
 def test_a_campaign_s_page_has_no_element_more(tmp_path_factory, name, factor):
     folder = tmp_path_factory.mktemp("campaign")
     plain, page = (
-        Tags(campaign_page(folder, *each)) for each in (("harmless", "harmless"), (name, factor))
+        safe_page(campaign_page(folder, *each))
+        for each in (("harmless", "harmless"), (name, factor))
     )
     assert page.names == plain.names
-    assert json.loads(page.figures)
+    assert page.figures
 
 
 def test_a_recording_s_caption_is_text(short):
