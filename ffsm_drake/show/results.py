@@ -15,7 +15,8 @@ from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.style import Style, labels_of, styles_of
 
-P, T = ParamSpec("P"), TypeVar("T")
+P = ParamSpec("P")
+T = TypeVar("T")
 
 HELD = ("generalized_force", "applied_force")  # from one sample to the next
 
