@@ -202,7 +202,7 @@ def plot_divergence(results: Results) -> Figure:
         "euler": Style(BLUE, "dash"),
         "bounded": Style(GREEN, "dashdot"),
     }
-    gains, errors, top = [], [], 0.0
+    gains, errors, top = list[Curve](), list[Curve](), 0.0
     for setting, style in styles.items():
         run, record = results.run(setting, PROPOSED), results.record(setting, PROPOSED)
         data, name = record.dataset, SETTINGS[setting].title.replace("K_s", "Kₛ")

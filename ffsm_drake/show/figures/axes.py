@@ -68,7 +68,7 @@ def plot_charts(
         figure = Figure(figsize=size, layout=layout)
         # The constrained layout keeps room for the title only if it places it itself.
         figure.suptitle(f"{plain(title)}\n", **{"y": 1.0 - 0.12 / size[1]} if many else {})
-        place = {"x": 0.5, "y": 1.0 - 0.4 / size[1], "ha": "center", "va": "top"}
+        place: dict[str, Any] = {"x": 0.5, "y": 1.0 - 0.4 / size[1], "ha": "center", "va": "top"}
         figure.text(s=plain(description), fontsize=9, color="#444444", **place)
         inches = [*[0.7] * pad, *[size[1] / rows] * rows, *[0.4] * pad]
         grid = figure.add_gridspec(rows + 2 * pad, columns, height_ratios=inches)
