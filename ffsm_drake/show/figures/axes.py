@@ -18,7 +18,7 @@ from ffsm_drake.show.style import GRID
 
 LARGEST = 1e100  # largest drawn value: near the largest float, axes have no ticks
 # Style of all figures (Matplotlib's settings).
-STYLE: dict[str, Any] = {
+STYLE: Any = {
     "axes.axisbelow": True, "axes.grid": True, "grid.color": GRID, "grid.linewidth": 0.6,
     "axes.spines.top": False, "axes.spines.right": False, "axes.xmargin": 0.01,
     "axes.titlesize": 10, "axes.titlelocation": "left", "axes.labelsize": 9,
