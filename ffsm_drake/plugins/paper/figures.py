@@ -182,7 +182,8 @@ def _overview(rows: list[Row], metric: str, cases: list[tuple[str, str]]) -> Cha
     spans = np.stack([np.nanmin(every, axis=0), np.nanmax(every, axis=0), gaps], axis=1)
     look: dict[str, Any] = {"line": False, "size": 9.0}
     return Chart(
-        title=METRICS[metric], x=_LABELS[metric], log_x="~e" if metric == "itae" else "",
+        title=METRICS[metric], x=_LABELS[metric], margin=0.04,
+        log_x="~e" if metric == "itae" else "",
         rows=[NAMES[name] if name else DISTURBANCE_NAMES[kind] for kind, name in cases],
         curves=[
             Curve(spans.ravel(), np.repeat(places, 3), Style(GRID), width=2.0),
