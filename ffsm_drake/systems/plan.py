@@ -1,6 +1,6 @@
 """A plan: a motion as a cubic spline, in a small text file written by ``ffsm plan``.
 
-The curve is z(t) = [phi, p_WB, joints] (see ``spacecraft.inverse_dynamics``), a cubic B-spline on
+The curve is z(t) = [phi, p_WB, joints], with the base turned by exp(phi), a cubic B-spline on
 [0, duration] with segments of any length. A plan may end with small rates; these then
 die away over ``settle``. q_d, v_d and dv_d/dt are computed from z, z' and z'', so each is the
 exact derivative of the one before.
