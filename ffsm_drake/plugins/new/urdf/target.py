@@ -1,30 +1,22 @@
 """Reading a URDF as a target: one rigid body with mass, and the frame where it is held."""
 
-import copy
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RollPitchYaw
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.design.rounding import rounded
-from ffsm_drake.plugins.new.urdf.elements import listed, name_of
+from ffsm_drake.plugins.new.urdf.elements import end_of, listed, name_of, vector
 from ffsm_drake.plugins.new.urdf.formats import read_model
-from ffsm_drake.plugins.new.urdf.formats.building import (
-    add_frame,
-    add_link,
-    add_visual,
-    text,
-    without_pictures,
-)
-from ffsm_drake.plugins.new.urdf.formats.direct import plant_of
+from ffsm_drake.plugins.new.urdf.formats.building import add_frame, add_link, add_visual, text
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
-from ffsm_drake.spacecraft.checked_urdf import Faults
-from ffsm_drake.spacecraft.inertia import SIX, read_mass, without_rounding
+from ffsm_drake.spacecraft.checked_urdf import Faults, require
+from ffsm_drake.spacecraft.inertia import SIX, read_inertia, read_mass, without_rounding
 
 GRASP, SECOND = "grasp", "grasp_2"
 # A frame where a target is held, by the suffix of its file: a URDF's, and others.
@@ -142,26 +134,54 @@ def read_target(
 
 
 def _gathered(root: Element, body: str) -> tuple[np.ndarray, np.ndarray]:
-    """Give one link the mass of all links, which are fixed to it.
+    """Give one link the mass of all links that are fixed to it.
 
     Returns: the centre of mass (3), m, and the inertia (3, 3) about it, kg m^2, in the frame of the
     link.
     """
-    urdf = without_pictures(copy.deepcopy(root))
-    plant = plant_of({}, lambda parser: parser.AddModelsFromString(urdf, "urdf"))
-    bodies = [plant.GetBodyByName(name_of(link)) for link in root.findall("link")]
-    frame, indices = plant.GetBodyByName(body).body_frame(), [each.index() for each in bodies]
-    whole = plant.CalcSpatialInertia(plant.CreateDefaultContext(), frame, indices)
-    center = whole.get_com()
-    tensor = whole.Shift(center).CalcRotationalInertia().CopyToFullMatrix3()
+    joints = {end_of(joint, "child"): joint for joint in root.findall("joint")}
+    parts = list[tuple[float, np.ndarray, np.ndarray]]()
+    for link in root.findall("link"):
+        if not (mass := read_mass(link)):
+            continue
+        pose = _pose_of(body, joints).inverse() @ _pose_of(name_of(link), joints)
+        inertial = link.find("inertial")
+        place = pose @ _origin(inertial, f"link '{name_of(link)}'")
+        turn = place.rotation().matrix()
+        parts.append((mass, place.translation(), turn @ read_inertia(link) @ turn.T))
+        if name_of(link) != body and inertial is not None:
+            link.remove(inertial)
+    total = sum(mass for mass, _, _ in parts)
+    center = sum((mass * at for mass, at, _ in parts), np.zeros(3)) / total
+    tensor = np.zeros((3, 3))
+    for mass, at, inertia in parts:
+        arm = at - center
+        tensor += inertia + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     scale = max(float(np.abs(tensor).max()), 1e-300)
     # no products of 1e-16 in place of zeros
     tensor = without_rounding(scale * np.round(tensor / scale, 12) + 0.0)
-    weighing = [link for link in root.findall("link") if read_mass(link)]
-    for link in weighing if len(weighing) > 1 else ():
-        for inertial in link.findall("inertial"):
-            link.remove(inertial)
-        if name_of(link) == body:
-            merged = add_link(Element("robot"), body, whole.get_mass(), center, tensor)
-            link.insert(0, merged[0])
+    if len(parts) > 1:
+        held = next(link for link in root.findall("link") if name_of(link) == body)
+        for inertial in held.findall("inertial"):
+            held.remove(inertial)
+        merged = add_link(Element("robot"), body, total, center, tensor)
+        held.insert(0, merged[0])
     return center, tensor
+
+
+def _origin(element: Element | None, place: str) -> RigidTransform:
+    origin = None if element is None else element.find("origin")
+    turn = RollPitchYaw(vector(origin, "rpy", place))
+    return RigidTransform(turn, vector(origin, "xyz", place))
+
+
+def _pose_of(link: str, joints: Mapping[str, Element]) -> RigidTransform:
+    """Return the pose of a link in the root. ``joints``: fixed joints by child."""
+    pose, seen = RigidTransform(), set[str]()
+    while link in joints:
+        require(link not in seen, f"link '{link}': its joints form a loop")
+        seen.add(link)
+        joint = joints[link]
+        pose = _origin(joint, f"joint '{name_of(joint)}'") @ pose
+        link = end_of(joint, "parent")
+    return pose
