@@ -1,6 +1,7 @@
 """Charts: Plotly and Matplotlib draw the same from one description."""
 
 import html
+import itertools
 
 import numpy as np
 import pytest
@@ -55,3 +56,23 @@ def test_both_libraries_draw_the_same_chart(seed):
     assert len(axes.lines) == len(chart.curves) + len(chart.levels)
     assert layout["showlegend"]
     assert len(axes.get_legend().get_texts()) == len(chart.curves)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_labels_of_a_logarithmic_axis_stand_apart(seed):
+    """However few decades it spans; in a panel as small as those of the tracking errors."""
+    rng = np.random.default_rng(seed)
+    low = 10.0 ** rng.uniform(-9.0, 3.0)
+    values = np.geomspace(low, low * 10.0 ** rng.uniform(0.3, 5.0), 50)
+    chart = Chart(title="rms", log_y="e", curves=[Curve(np.arange(50.0), values, Style(SERIES[0]))])
+    figure = plot_charts([[chart, chart]], "figure", columns=1, size=(4.0, 3.7), heights=(1.5, 1.0))
+    figure.draw_without_rendering()
+    axis = figure.axes[1].yaxis
+    labels = [*axis.get_majorticklabels(), *axis.get_minorticklabels()]
+    boxes = [each.get_window_extent() for each in labels if each.get_text() and each.get_visible()]
+    bottom, top = figure.axes[1].get_window_extent().intervaly
+    spans = sorted(
+        tuple(each.intervaly) for each in boxes if bottom <= each.y0 + each.height / 2 <= top
+    )
+    assert len(spans) >= 2
+    assert all(low[1] <= high[0] for low, high in itertools.pairwise(spans))

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.ticker import LogFormatterSciNotation, LogLocator
+from matplotlib.ticker import LogFormatterSciNotation, LogLocator, NullLocator
 
 from ffsm_drake.common.files import written_whole
 from ffsm_drake.show.chart import Chart, Curve, Level
@@ -220,5 +220,10 @@ def _set_log_scale(axes: Axes, ticks: int) -> None:
     if not 1.0 / LARGEST <= low < high <= LARGEST:  # the line of a huge bound
         axes.set_ylim(max(low, 1e-12), min(max(high, 1.0), LARGEST))
     axes.yaxis.set_major_locator(LogLocator(numticks=ticks))
-    axes.yaxis.set_minor_formatter(LogFormatterSciNotation(minor_thresholds=(2.0, 0.5)))
-    axes.tick_params(axis="y", which="minor", labelsize=7)
+    low, high = axes.get_ylim()
+    between: tuple[float, ...] = ()
+    if np.floor(np.log10(high)) <= np.ceil(np.log10(low)):  # not two powers of ten
+        between = (3.0,) if high >= 10.0 * low else (2.0, 5.0)
+        between = between if high > 4.0 * low else (1.5, 2.0, 3.0, 5.0, 7.0)
+    axes.yaxis.set_minor_locator(LogLocator(subs=between) if between else NullLocator())
+    axes.yaxis.set_minor_formatter(LogFormatterSciNotation(minor_thresholds=(np.inf, np.inf)))
