@@ -105,7 +105,8 @@ def plot_trajectories(record: RunRecord) -> Figure:
         [merged(charts, title=title, what=what, legend="right")] for title, what, charts in groups
     ]
     title = "Planned and tracked trajectories"
-    return plot_charts(stacks, title, _description(record), columns=2, size=(11.0, 8.0))
+    description = f"{_description(record)}; the reference is dashed"
+    return plot_charts(stacks, title, description, columns=2, size=(11.0, 8.0))
 
 
 def plot_errors(records: Sequence[RunRecord]) -> Figure:
