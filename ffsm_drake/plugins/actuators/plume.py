@@ -10,14 +10,17 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from pydrake.geometry import Sphere
+from pydrake.math import RigidTransform
 
 from ffsm_drake.common.memo import memoized
-from ffsm_drake.plugins.actuators.rays import first_meeting, reach_of
 from ffsm_drake.scenario import Actuation, Model, Plume, Scenario, Thruster, thrusters_of
 from ffsm_drake.spacecraft.clearance import Clearance
+from ffsm_drake.spacecraft.distance import Solids
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
 from ffsm_drake.spacecraft.plant import base_body, configuration, find_body
 
+_LEAST = 1e-4  # m; rays do not meet a shape that is nearer to their nozzle or around it
 _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))  # rad
 
 
@@ -57,19 +60,19 @@ class PlumeField:
         without: a body (scoped name) that is not yet present.
         """
         self._model, self._base = model, base_body(model.plant)
-        # body, its shape, X_BG
-        self._shapes = [
-            (find_body(model.plant, name, key="model"), shape, X_BG)
-            for name, shape, X_BG in Clearance(of).placed()
-            if name != without
+        placed = [each for each in Clearance(of).placed() if each[0] != without]
+        self._bodies = [find_body(model.plant, name, key="model") for name, _, _ in placed]
+        shapes = [(k, shape, X_BG) for k, (_, shape, X_BG) in enumerate(placed)]
+        nozzles = [
+            (len(shapes), Sphere(0.0), RigidTransform(np.array(unit.position))) for unit in units
         ]
+        self._solids = Solids([*shapes, *nozzles], for_rays=True)
         self._at = np.array([unit.position for unit in units], dtype=float)
         axes = -np.array([unit.direction for unit in units], dtype=float)
         axes /= np.linalg.norm(axes, axis=1)[:, None]
         made = [rays_of(axis, settings) for axis in axes]
         self._rays = np.array([rays for rays, _ in made])  # (n, rays, 3) in the base's axes
         self._parts = np.array([part for _, part in made])
-        self._reach = np.array([reach_of(shape) for _, shape, _ in self._shapes])
 
     def calc(self, q: np.ndarray, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Generalized force (nv) of plumes of thrusters with forces (n), N, in a configuration q
@@ -80,40 +83,36 @@ class PlumeField:
         X_WB = self._base.EvalPoseInWorld(context)
         total, each = np.zeros(plant.num_velocities()), np.zeros((len(force), 3))
         fired = np.flatnonzero(force > 0.0)
-        if not (fired.size and self._shapes):
+        if not (fired.size and self._bodies):
             return total, each
         u = self._rays[fired] @ X_WB.rotation().matrix().T
         p = self._at[fired] @ X_WB.rotation().matrix().T + X_WB.translation()
         push = (force[fired] * self._parts[fired])[:, None, None] * u
-        met = self._met(p, u)
-        first, length = met.argmin(axis=0), met.min(axis=0)
-        hit = np.isfinite(length)
+        bodies = (*self._bodies, self._base)
+        self._solids.place(
+            np.array([body.EvalPoseInWorld(context).GetAsMatrix34() for body in bodies])
+        )
+        met = [self._met(*each) for each in zip(fired.tolist(), p, u, strict=True)]
+        first, length = (np.array(each) for each in zip(*met, strict=True))
+        hit = first >= 0
         each[fired] = np.where(hit[..., None], push, 0.0).sum(axis=1)
         for index in np.unique(first[hit]):
             chosen = hit & (first == index)
-            body = self._shapes[index][0]
+            body = self._bodies[index]
             at = (p[:, None] + np.where(chosen, length, 0.0)[..., None] * u)[chosen]
             arm = at - body.EvalPoseInWorld(context).translation()
             wrench = np.hstack([np.cross(arm, push[chosen]), push[chosen]]).sum(axis=0)
             total += self._model.calc_jacobian(q, body.body_frame()).T @ wrench
         return total, each
 
-    def _met(self, p: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Distances along rays (n, rays, 3) from points (n, 3) to each shape (shapes, n, rays)."""
-        context = self._model.context
-        poses = [body.EvalPoseInWorld(context) @ X_BG for body, _, X_BG in self._shapes]
-        away = np.array([X_WG.translation() for X_WG in poses])[:, None] - p  # (shapes, n, 3)
-        along = np.einsum("snj,nrj->snr", away, u)
-        reach = self._reach[:, None, None]
-        # plumes with a line within the shape's reach of its origin
-        beside = (away * away).sum(axis=-1)[..., None] - along**2
-        near = (beside <= reach**2) & (along >= -reach)
-        met = np.full(near.shape, np.inf)
-        for index in np.flatnonzero(near.any(axis=(1, 2))):
-            chosen, R = near[index], poses[index].rotation().matrix()
-            origins = np.broadcast_to(-away[index][:, None], u.shape)[chosen]
-            met[index, chosen] = first_meeting(self._shapes[index][1], origins @ R, u[chosen] @ R)
-        return met
+    def _met(self, thruster: int, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the number of the first shape on each ray (n, 3) of a thruster at a point (3), -1
+        without one, and the distance (n), m.
+        """
+        count = len(self._bodies)
+        pairs = np.array([(count + thruster, shape) for shape in range(count)])
+        near = [shape for shape, _, _ in self._solids.within(pairs, _LEAST)]
+        return self._solids.first_met(p, u, [*near, *range(count, count + len(self._at))])
 
 
 @memoized(maxsize=16)

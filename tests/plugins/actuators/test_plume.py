@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, HalfSpace, Sphere
+from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Sphere
+from pydrake.math import RigidTransform
 
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.plugins.actuators.plume import PlumeField, allocated, rays_of, returned_shares
-from ffsm_drake.plugins.actuators.rays import first_meeting, reach_of
 from ffsm_drake.scenario import Plume, thrusters_of
+from ffsm_drake.spacecraft.distance import Solids
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import configuration
 
@@ -54,24 +55,23 @@ def capsule(r, length, _):
 def test_a_ray_enters_where_it_first_reaches_the_surface(make, sizes, seed):
     shape, level = make(*sizes)  # at most 1 within
     draw = np.random.default_rng(seed)
+    place = RigidTransform(draw.uniform(-1.0, 1.0, 3))
+    solids = Solids([(0, shape, place), (0, Sphere(9.0), place)], for_rays=True)
+    solids.place(np.eye(3, 4)[None])
     p = draw.uniform(-3.0, 3.0, (50, 3))
-    u = draw.normal(size=(50, 3))
-    u[:10] = np.eye(3)[draw.integers(0, 3, 10)]  # along an axis
+    p = p[level(p) > 1.0 + 1e-9]
+    u = draw.normal(size=p.shape)
+    u[:10] = np.eye(3)[draw.integers(0, 3, 10)][: len(u)]  # along an axis
     u /= np.linalg.norm(u, axis=1)[:, None]
-    found = first_meeting(shape, p, u)
-    outside = level(p) > 1.0 + 1e-9
-    assert np.isinf(found[~outside]).all() or make is capsule
-    met = np.isfinite(found) & outside
-    assert np.allclose(level(p[met] + found[met, None] * u[met]), 1.0, atol=1e-9)
-    entry = np.linalg.norm(p[met] + found[met, None] * u[met], axis=1)
-    assert (entry <= reach_of(shape) + 1e-9).all()
-    ways = np.linspace(0.0, 1.0, 400)[1:-1] * np.where(met, np.minimum(found, 99.0), 12.0)[:, None]
+    rays = zip(p + place.translation(), u, strict=True)
+    met = [solids.first_met(point, along[None], [1]) for point, along in rays]
+    first, found = (np.ravel(each) for each in zip(*met, strict=True))
+    hit = first == 0
+    assert (first[~hit] == -1).all()
+    assert np.allclose(level(p[hit] + found[hit, None] * u[hit]), 1.0, atol=1e-9)
+    ways = np.linspace(0.0, 1.0, 400)[1:-1] * np.where(hit, np.minimum(found, 99.0), 12.0)[:, None]
     levels = np.array([level(p + way[:, None] * u) for way in ways.T])
-    assert (levels[:, outside] > 1.0 - 1e-9).all()
-
-
-def test_a_half_space_is_never_met():
-    assert np.isinf(first_meeting(HalfSpace(), np.zeros((2, 3)), np.eye(3)[:2])).all()
+    assert (levels > 1.0 - 1e-9).all()
 
 
 @pytest.mark.parametrize("exponent", [1.0, 8.0, 40.0])
