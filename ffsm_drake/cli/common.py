@@ -161,7 +161,7 @@ def forgiving_stderr() -> None:
 
 
 # options of commands that wait for their user
-_LIVE = {"--live", "--controls", "--meshcat", "--foxglove"}
+_LIVE = {"--controls", "--meshcat", "--foxglove"}
 
 
 def show_life(over: threading.Event, *, first: float | None = None, then: float = 10.0) -> None:

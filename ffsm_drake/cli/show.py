@@ -1,12 +1,12 @@
 """Commands that draw: plot, diagram, replay."""
 
+import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from ffsm_drake.cli.common import FiniteFloat, out_option, run_argument, scenario_options
-from ffsm_drake.common.plugins import LIVE, load
 
 if TYPE_CHECKING:
     from ffsm_drake.scenario import Scenario
@@ -124,22 +124,18 @@ def diagram(scenario: "Scenario", logged: bool, out: Path | None) -> None:
     show_default=True,
     help="Control and disturbance as arrows.",
 )
-@click.option(
-    "--live",
-    is_flag=True,
-    help="Serve it on this machine, with a time slider, until Quit or Ctrl-C.",
-)
+@click.option("--open", "--live", "opened", is_flag=True, help="Also open the page in the browser.")
 @out_option("FILE", help="Default: recording.html in RUN_DIR.")
 def replay(
-    run: Path, speed: float, ghost: bool, path: bool, forces: bool, live: bool, out: Path | None
+    run: Path, speed: float, ghost: bool, path: bool, forces: bool, opened: bool, out: Path | None
 ) -> None:
-    """Play back a recorded run: as a page to open and send, or live with a time slider.
+    """Write a page that plays back a recorded run, to open offline and to send.
 
     \b
     Examples:
       ffsm replay out/postcapture
       ffsm replay out/postcapture --speed 2 --no-ghost --out slides/motion.html
-      ffsm replay out/postcapture --live
+      ffsm replay out/postcapture --open
     """
     from ffsm_drake.common.files import check_writable
     from ffsm_drake.runs.record import RunRecord
@@ -147,10 +143,8 @@ def replay(
 
     file = out or run / "recording.html"
     record = RunRecord.load(run)
-    if live:
-        show = load(LIVE, "replay", "--live")
-        show(record, speed=speed, ghost=ghost, path=path, forces=forces, open_browser=True)
-        return
     check_writable(file.parent)
     write_recording(record, file, speed=speed, ghost=ghost, path=path, forces=forces)
     click.echo(f"Written to {file}")
+    if opened and not webbrowser.open(file.resolve().as_uri()):
+        click.echo("no browser was found; open the page yourself", err=True)

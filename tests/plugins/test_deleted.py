@@ -49,7 +49,6 @@ NEEDED = {
     "interactive": [
         [*SHORT, "--meshcat"],
         [*SHORT, "--controls"],
-        ["replay", "out", "--live"],
     ],
     "new": [["new", "mine", "--urdf", "craft.urdf"]],
     "paper": [["reproduce", "table2"]],

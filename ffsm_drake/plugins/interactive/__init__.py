@@ -1,1 +1,1 @@
-"""Live runs, an operator's panel and replays in the browser."""
+"""Live runs and an operator's panel in the browser."""

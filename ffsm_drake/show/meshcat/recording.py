@@ -25,6 +25,7 @@ _CAPTION = """<style>
 #caption, #bar {{ position: fixed; left: 12px; padding: 8px 12px; border-radius: 6px;
   background: rgba(5, 8, 20, .72); color: #e8ecf6; font: 13px/1.5 sans-serif; }}
 #caption {{ bottom: 62px; max-width: 60ch; pointer-events: none; }}
+#caption label {{ pointer-events: auto; cursor: pointer; }}
 #bar {{ bottom: 12px; right: 12px; display: flex; gap: 12px; align-items: center; }}
 #bar input {{ flex: 1; min-width: 0; }}
 #bar output {{ font-variant-numeric: tabular-nums; }}
@@ -35,10 +36,11 @@ _CAPTION = """<style>
 <div id="caption">{lines}</div>
 <div id="bar"><button id="play" type="button"></button>
 <input id="time" type="range" min="0" max="{end}" step="any" value="0" aria-label="Time, s">
-<output id="clock"></output></div>
+<output id="clock"></output>
+<select id="rate" aria-label="Multiple of real time">{rates}</select></div>
 <script>
   (() => {{
-    const [button, slider, clock, cover] = ["play", "time", "clock", "loading"].map(
+    const [button, slider, clock, rate, cover] = ["play", "time", "clock", "rate", "loading"].map(
       (id) => document.getElementById(id));
     const player = () => viewer.animator;
     let begun = window !== window.parent, frames = 0;
@@ -49,6 +51,20 @@ _CAPTION = """<style>
       player().seek(slider.value / {speed});
       player().display_progress(slider.value / {speed});
     }};
+    rate.onchange = () => {{ player().mixer.timeScale = rate.value / {speed}; }};
+    addEventListener("keydown", (event) => {{
+      if (event.code !== "Space" || event.target.closest("input, select, button")) return;
+      event.preventDefault();
+      button.click();
+    }});
+    for (const box of document.querySelectorAll("#caption input")) {{
+      box.onchange = () => {{
+        const path = "/drake/" + box.value;
+        const change = {{ type: "set_property", path, property: "visible", value: box.checked }};
+        viewer.handle_command(change);
+        viewer.set_dirty();
+      }};
+    }}
     const fit = () => {{
       viewer.camera.zoom = Math.min(1, 0.75 * innerWidth / innerHeight);
       viewer.camera.updateProjectionMatrix();
@@ -70,10 +86,11 @@ _CAPTION = """<style>
   }})();
 </script>
 """
-_SWATCH = (
-    "<span "
-    'style="display:inline-block;width:12px;height:12px;background:{color};margin-right:6px">'
-    "</span>"
+_RATES = (0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)  # multiples of real time to choose from
+# an arrow's line in the caption: a box that shows or hides the arrow, in its colour
+_ARROW = (
+    '<label><input type="checkbox" checked value="{path}" style="accent-color:{color}"> '
+    "{text}</label>"
 )
 
 
@@ -146,21 +163,25 @@ def _with_caption(page: str, record: RunRecord, view: ReplayView, *, speed: floa
     if view.magnified:
         lines.append(view.magnified)
     lines += map(html.escape, view.legend)  # with names of the model
-    if speed != 1.0:
-        lines.append(f"{speed:g} times real time")
     if view.arrows is not None:
         for kind, text in zip(ARROW_KINDS, legend(view.arrows), strict=True):
             color = "rgb({:.0f},{:.0f},{:.0f})".format(*(255 * part for part in kind.color))
-            lines.append(_SWATCH.format(color=color) + html.escape(text))
+            lines.append(_ARROW.format(path=kind.path, color=color, text=html.escape(text)))
         lines.append("All act on the base; torques have two heads.")
     if drawn := view.switched.legend + view.spacecraft.legend:
         lines.append(html.escape("; ".join(drawn)))
+    rates = [
+        f'<option value="{rate:g}"{" selected" if rate == speed else ""}>{rate:g} x</option>'
+        for rate in sorted({*_RATES, speed})
+    ]
     page = page.replace("<title>Drake MeshCat</title>", f"<title>{html.escape(title)}</title>", 1)
     page = page.replace("<body>", f"<body>{_LOADING}", 1)
     head, end, tail = page.rpartition("</body>")
     return (
         head
-        + _CAPTION.format(lines="<br>".join(lines), speed=speed, end=view.duration)
+        + _CAPTION.format(
+            lines="<br>".join(lines), speed=speed, end=view.duration, rates="".join(rates)
+        )
         + end
         + tail
     )

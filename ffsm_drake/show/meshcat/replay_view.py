@@ -1,4 +1,4 @@
-"""A record on Meshcat's stage, one sample at a time, for the recorded page and the live replay."""
+"""A record on Meshcat's stage, one sample at a time, for the recorded page."""
 
 from typing import Any
 

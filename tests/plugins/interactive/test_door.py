@@ -25,8 +25,7 @@ from ffsm_drake import RunRecord, load_scenario
 from ffsm_drake.common.door import BadFrame
 from ffsm_drake.plugins.interactive.controls import CODE, UNLOCK
 from ffsm_drake.plugins.interactive.door import live_server, page_event
-from ffsm_drake.plugins.interactive.live import QUIT
-from ffsm_drake.plugins.interactive.panel import PAUSE, start_button
+from ffsm_drake.plugins.interactive.panel import PAUSE, QUIT, start_button
 from ffsm_drake.show.meshcat.stage import set_stage
 
 VALUES = st.recursive(
@@ -234,22 +233,6 @@ def run_with_controls(tmp_path, count):
         return arrived, interrupted(process, told, tmp_path / "run_1")
 
 
-def replay_served(record, count):
-    with command("replay", "--live", str(record)) as (process, told):
-        url = told(ADDRESS)[1]
-        arrived = hostile_frames(process, url, count)
-        with page_at(url, url) as page:
-            press(page, QUIT)
-            assert process.wait(60) == 0
-    return arrived
-
-
-COUNTS = pytest.mark.parametrize(
-    "count",
-    [pytest.param(20, marks=pytest.mark.long), pytest.param(1670, marks=pytest.mark.exhaustive)],
-)
-
-
 @pytest.mark.parametrize(
     ("live", "count"),
     [
@@ -265,13 +248,6 @@ def test_no_frame_costs_a_record(live, count, tmp_path):
     _, record = live(tmp_path, count)
     assert record.outcome.status == "interrupted"
     assert record.dataset.sizes["time"] > 1
-
-
-@COUNTS
-def test_no_frame_ends_a_replay(count, tmp_path, run):
-    run("postcapture", "duration=1").save(tmp_path)
-    replay_served(tmp_path, count)
-    RunRecord.load(tmp_path)
 
 
 ABANDONED = """
