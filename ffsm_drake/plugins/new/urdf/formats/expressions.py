@@ -1,17 +1,16 @@
-"""Expressions of xacro files, computed without running them as Python.
+"""Expressions of xacro files, of which only a part of Python's syntax is computed.
 
-An expression is parsed, and its tree is walked: only the nodes and functions below have a meaning.
-So a file cannot reach attributes of objects, lambdas or modules, and sizes of results are bounded.
+An expression is parsed. In its tree, only the nodes below are allowed, and functions of this file
+replace all names, attributes and operators that can make large results. So a file cannot reach
+attributes of objects, lambdas or modules, and sizes of results are bounded.
 """
 
 import ast
 import math
-import operator
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from typing import Any
 
-from ffsm_drake.common.errors import ModelError
 from ffsm_drake.spacecraft.checked_urdf import require
 
 Names = Callable[[str], Any]  # the value of a name; raises KeyError
@@ -20,20 +19,12 @@ _MOST = 300_000  # items of a sequence, characters of a text
 _BITS = 100_000  # of a whole number
 _WIDTH = 1000  # of a formatted number; arguments of factorials
 
-_COMPARED: dict[type, Callable[[Any, Any], Any]] = {
-    ast.Eq: operator.eq, ast.NotEq: operator.ne, ast.Lt: operator.lt, ast.LtE: operator.le,
-    ast.Gt: operator.gt, ast.GtE: operator.ge, ast.Is: operator.is_, ast.IsNot: operator.is_not,
-    ast.In: lambda item, items: item in items, ast.NotIn: lambda item, items: item not in items,
-}  # fmt: skip
-_COMPUTED: dict[type, Callable[[Any, Any], Any]] = {
-    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Mod: operator.mod,
-    ast.Div: operator.truediv, ast.FloorDiv: operator.floordiv, ast.Pow: operator.pow,
-}  # fmt: skip
-_HOLDERS: dict[type, Callable[[Any], Any]] = {ast.List: list, ast.Tuple: tuple, ast.Set: set}
 _MAKING = (ast.List, ast.Tuple, ast.Set, ast.Dict, ast.BinOp, ast.Call)  # may grow
-_SIGNED: dict[type, Callable[[Any], Any]] = {
-    ast.UAdd: operator.pos, ast.USub: operator.neg, ast.Not: operator.not_,
-}  # fmt: skip
+_ALLOWED = (
+    *_MAKING, ast.Expression, ast.Constant, ast.IfExp, ast.Subscript, ast.Slice, ast.keyword,
+    ast.Load, ast.Compare, ast.cmpop, ast.BoolOp, ast.boolop, ast.UnaryOp, ast.UAdd, ast.USub,
+    ast.Not, ast.Add, ast.Sub, ast.Div, ast.FloorDiv,
+)  # fmt: skip
 
 
 class Space(dict[str, Any]):
@@ -59,22 +50,34 @@ def _size(value: Any) -> int:
     return value.bit_length() if isinstance(value, int) else 0
 
 
-def _check_operands(kind: type, left: Any, right: Any) -> None:
-    """Raise ModelError where the result would be too large to compute."""
-    sequences = (str, list, tuple)
-    if kind is ast.Mult:
-        require(_size(left) + _size(right) <= _BITS, f"a number would have more than {_BITS} bits")
-        for items, count in ((left, right), (right, left)):
-            if isinstance(items, sequences) and isinstance(count, int):
-                require(len(items) * count <= _MOST, f"a text or list of more than {_MOST} items")
-    elif kind is ast.Pow and isinstance(left, int) and isinstance(right, int):
+def _product(left: Any, right: Any) -> Any:
+    require(_size(left) + _size(right) <= _BITS, f"a number would have more than {_BITS} bits")
+    for items, count in ((left, right), (right, left)):
+        if isinstance(items, (str, list, tuple)) and isinstance(count, int):
+            require(len(items) * count <= _MOST, f"a text or list of more than {_MOST} items")
+    return left * right
+
+
+def _power(left: Any, right: Any) -> Any:
+    if isinstance(left, int) and isinstance(right, int):
         require(_size(left) * abs(right) <= _BITS, f"a power would have more than {_BITS} bits")
-    elif kind is ast.Mod and isinstance(left, str):
+    return left**right
+
+
+def _remainder(left: Any, right: Any) -> Any:
+    """The remainder of numbers, or a format with its values."""
+    if isinstance(left, str):
         widths = map(int, re.findall(r"\d+", left[:_LONGEST]))
         require(
             len(left) <= _LONGEST and "*" not in left and max(widths, default=0) <= _WIDTH,
             f"a format wider than {_WIDTH} characters",
         )
+    return left % right
+
+
+_LARGE: dict[type, Callable[[Any, Any], Any]] = {
+    ast.Mult: _product, ast.Pow: _power, ast.Mod: _remainder,
+}  # fmt: skip
 
 
 def _small(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -139,96 +142,64 @@ def evaluate(expression: str, names: Names, attribute: Callable[[Any, str], Any]
       Exception: what Python raises for it, such as a division by zero.
     """
     require(len(expression) <= _LONGEST, f"an expression of more than {_LONGEST} characters")
-    return _Walk(names, attribute).value(
-        ast.parse(expression.strip(), "<expression>", mode="eval").body
-    )
+
+    def value_of(name: str) -> Any:
+        try:
+            return names(name)
+        except KeyError:
+            raise NameError(f"name '{name}' is not defined") from None
+
+    def attribute_of(value: Any, name: str) -> Any:
+        if isinstance(value, Space):
+            require(name in value, f"the function '{name}' is unknown, or not allowed")
+            return value[name]
+        return attribute(value, name)
+
+    functions = (_bounded, value_of, attribute_of, *_LARGE.values())
+    tree = _Guarded().visit(ast.parse(expression.strip(), "<expression>", mode="eval"))
+    code = compile(ast.fix_missing_locations(tree), "<expression>", "eval")
+    return eval(code, {"__builtins__": {}} | {each.__name__: each for each in functions})
 
 
-class _Walk:
-    """The values of nodes."""
+class _Guarded(ast.NodeTransformer):
+    """Trees with calls of the functions of ``evaluate`` in place of what a file must not do."""
 
-    def __init__(self, names: Names, attribute: Callable[[Any, str], Any]) -> None:
-        self.names, self.attribute = names, attribute
+    def generic_visit(self, node: ast.AST) -> Any:
+        kind = type(node).__name__
+        require(isinstance(node, _ALLOWED), f"a {kind} is not allowed in an expression")
+        made = super().generic_visit(node)
+        return _call("_bounded", made) if isinstance(node, _MAKING) else made
 
-    def value(self, node: Any) -> Any:
-        method = getattr(self, f"of_{type(node).__name__.lower()}", None)
-        if method is None:
-            raise ModelError(f"a {type(node).__name__} is not allowed in an expression")
-        return _bounded(method(node)) if isinstance(node, _MAKING) else method(node)
-
-    def of_constant(self, node: ast.Constant) -> Any:
+    def visit_Constant(self, node: ast.Constant) -> Any:
         kinds = (int, float, str, type(None))
         require(isinstance(node.value, kinds), f"{node.value!r:.40} is not allowed")
-        return node.value
+        return node
 
-    def of_name(self, node: ast.Name) -> Any:
-        _check_name(node.id)
-        try:
-            return self.names(node.id)
-        except KeyError:
-            raise NameError(f"name '{node.id}' is not defined") from None
+    def visit_Name(self, node: ast.Name) -> Any:
+        return _call("value_of", _checked(node.id))
 
-    def of_attribute(self, node: ast.Attribute) -> Any:
-        _check_name(node.attr)
-        value = self.value(node.value)
-        if isinstance(value, Space):
-            require(node.attr in value, f"the function '{node.attr}' is unknown, or not allowed")
-            return value[node.attr]
-        return self.attribute(value, node.attr)
+    def visit_Attribute(self, node: ast.Attribute) -> Any:
+        return _call("attribute_of", self.visit(node.value), _checked(node.attr))
 
-    def of_binop(self, node: ast.BinOp) -> Any:
-        require(type(node.op) in _COMPUTED, f"{type(node.op).__name__} is not allowed")
-        left, right = self.value(node.left), self.value(node.right)
-        _check_operands(type(node.op), left, right)
-        return _COMPUTED[type(node.op)](left, right)
+    def visit_BinOp(self, node: ast.BinOp) -> Any:
+        if (function := _LARGE.get(type(node.op))) is None:
+            return self.generic_visit(node)
+        operands = self.visit(node.left), self.visit(node.right)
+        return _call("_bounded", _call(function.__name__, *operands))
 
-    def of_unaryop(self, node: ast.UnaryOp) -> Any:
-        require(type(node.op) in _SIGNED, f"{type(node.op).__name__} is not allowed")
-        return _SIGNED[type(node.op)](self.value(node.operand))
+    def visit_Dict(self, node: ast.Dict) -> Any:
+        require(None not in node.keys, "** is not allowed in an expression")
+        return self.generic_visit(node)
 
-    def of_boolop(self, node: ast.BoolOp) -> Any:
-        value = None
-        for each in node.values:
-            value = self.value(each)
-            if bool(value) == isinstance(node.op, ast.Or):
-                break
-        return value
-
-    def of_compare(self, node: ast.Compare) -> Any:
-        left, found = self.value(node.left), True
-        for kind, each in zip(node.ops, node.comparators, strict=True):
-            right = self.value(each)
-            found = _COMPARED[type(kind)](left, right)
-            if not found:
-                break
-            left = right
-        return found
-
-    def of_ifexp(self, node: ast.IfExp) -> Any:
-        return self.value(node.body if self.value(node.test) else node.orelse)
-
-    def of_subscript(self, node: ast.Subscript) -> Any:
-        return self.value(node.value)[self.value(node.slice)]
-
-    def of_slice(self, node: ast.Slice) -> slice:
-        return slice(*(each and self.value(each) for each in (node.lower, node.upper, node.step)))
-
-    def of_items(self, node: ast.List | ast.Tuple | ast.Set) -> Any:
-        return _HOLDERS[type(node)](map(self.value, node.elts))
-
-    of_list = of_tuple = of_set = of_items
-
-    def of_dict(self, node: ast.Dict) -> dict[Any, Any]:
-        pairs = zip(node.keys, node.values, strict=True)
-        return {self.value(key): self.value(value) for key, value in pairs}
-
-    def of_call(self, node: ast.Call) -> Any:
-        function = self.value(node.func)
-        require(callable(function), f"'{ast.unparse(node.func)[:40]}' is not a function")
-        given: Mapping[str, Any] = {str(each.arg): self.value(each.value) for each in node.keywords}
-        require("None" not in given, "** is not allowed in an expression")
-        return function(*map(self.value, node.args), **given)
+    def visit_keyword(self, node: ast.keyword) -> Any:
+        require(node.arg is not None, "** is not allowed in an expression")
+        return self.generic_visit(node)
 
 
-def _check_name(name: str) -> None:
+def _call(function: str, *arguments: ast.expr) -> ast.Call:
+    return ast.Call(ast.Name(function, ast.Load()), [*arguments], [])
+
+
+def _checked(name: str) -> ast.Constant:
     require(not name.startswith("__"), f"the name '{name[:40]}' is not allowed")
+    return ast.Constant(name)
