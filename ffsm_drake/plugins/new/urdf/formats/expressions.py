@@ -196,7 +196,7 @@ class _Guarded(ast.NodeTransformer):
         return self.generic_visit(node)
 
 
-def _call(function: str, *arguments: ast.expr) -> ast.Call:
+def _call(function: str, *arguments: Any) -> ast.Call:
     return ast.Call(ast.Name(function, ast.Load()), [*arguments], [])
 
 
