@@ -5,9 +5,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd  # type: ignore[import-untyped]
 
-from ffsm_drake.plugins.campaign.statistics import Findings, GridPoint, Runs
-from ffsm_drake.runs.metrics import METRICS
+from ffsm_drake.plugins.campaign.evaluate import FIRST_LIMIT
+from ffsm_drake.plugins.campaign.statistics import GRID_METRICS, Findings
 from ffsm_drake.show.chart import Chart, Curve, Level, View
 from ffsm_drake.show.style import BLUE, NEUTRAL, UNSTABLE, Style, styles_of
 
@@ -17,11 +18,6 @@ FAILED = "#CC3311"
 SETTLED = "#4477AA"
 _LIMITS = (FAILED, "#EE7733", "#AA3377", "#009988", "#BBBBBB")  # failed runs by the first limit
 _SHARE = (0.0, 101.0)  # %
-_HEADINGS = {each.column_name: each.column_heading for each in METRICS}
-GRID_METRICS = {
-    name: _HEADINGS[name]
-    for name in ("isv", "itae", "peak_effort_base_position", "peak_error_base_rotation")
-}
 
 
 def chart_views(findings: Findings) -> dict[str, list[View]]:
@@ -35,7 +31,7 @@ def chart_views(findings: Findings) -> dict[str, list[View]]:
         "sensitivity": [_sensitivity(findings)] if findings.drivers else [],
         "map": []
         if findings.map is None
-        else [_map(findings, runs, colors) for runs in findings.table.runs.values()],
+        else [_map(findings, name, colors) for name in findings.table.runs],
     }
     views = {key: [View(label="", charts=shown)] for key, shown in charts.items()}
     views["grid"] = _grid(findings)
@@ -79,8 +75,8 @@ def _cumulative(findings: Findings, metric: str) -> Chart:
     curves, name = [], metric.upper()
     for controller, style in _styles(findings).items():
         runs = findings.table.runs[controller]
-        x = np.sort(runs.metrics[metric][runs.settled & np.isfinite(runs.metrics[metric])])
-        y = 100.0 * np.arange(1, x.size + 1) / max(runs.case.size, 1)
+        x = np.sort(runs.loc[runs["is_settled"] & np.isfinite(runs[metric]), metric])
+        y = 100.0 * np.arange(1, x.size + 1) / max(len(runs), 1)
         label = findings.spec.label(controller)
         curves.append(Curve(x, y, style, label, width=2.0, steps=True))
     return Chart(
@@ -113,31 +109,25 @@ def _grid(findings: Findings) -> list[View]:
     """Metrics over the value of a grid that has most numbers, a view for each combination of the
     others.
     """
-    if not findings.grid or not findings.table.values:
+    if findings.grid.empty or findings.table.values.empty:
         return []
     levels = {name: item.levels for name, item in findings.spec.distributions.items()}
     along = max(findings.table.values, key=lambda name: len(levels[name]))
-    views: dict[str, list[GridPoint]] = {}
-    for point in findings.grid:
-        others = [level for name, level in point.levels.items() if name != along]
-        views.setdefault(", ".join(others), []).append(point)
+    others = findings.grid[[name for name in levels if name != along]].agg(", ".join, axis=1)
     return [
         View(
             label=label, charts=[_grid_chart(findings, along, points, key) for key in GRID_METRICS]
         )
-        for label, points in views.items()
+        for label, points in findings.grid.groupby(others, sort=False)
     ]
 
 
-def _grid_chart(findings: Findings, along: str, points: Sequence[GridPoint], metric: str) -> Chart:
+def _grid_chart(findings: Findings, along: str, points: pd.DataFrame, metric: str) -> Chart:
     values, curves = findings.spec.distributions[along].levels, []
+    points = points.assign(x=points[along].map(values)).sort_values("x")
     for name, style in _styles(findings).items():
-        own = sorted(
-            (values[point.levels[along]], point.means[metric])
-            for point in points
-            if point.controller == name
-        )
-        x, y = np.array(own, dtype=float).reshape(-1, 2).T
+        own = points.loc[points["controller"] == name, ["x", metric]]
+        x, y = own.to_numpy(float).T
         look: dict[str, Any] = {"width": 2.0, "marker": "circle", "size": 6.0}
         curves.append(Curve(x, y, style, findings.spec.label(name), **look))
     wide = min(values.values()) > 0 and max(values.values()) >= 100 * min(values.values())
@@ -153,17 +143,15 @@ def _sensitivity(findings: Findings) -> Chart:
     """
     traces = []
     for controller, style in _styles(findings).items():
-        by_name = {
-            item.name: item for item in findings.sensitivities if item.controller == controller
-        }
-        items = [by_name[name] for name in findings.drivers]
+        of_controller = findings.sensitivities["controller"] == controller
+        items = findings.sensitivities[of_controller].set_index("name").loc[findings.drivers]
         traces.append({
             "type": "bar", "name": findings.spec.label(controller), "y": np.arange(len(items)),
-            "x": [100.0 * item.share for item in items],
-            "customdata": [[item.correlation, 100.0 * item.chance] for item in items],
+            "x": 100.0 * items["share"],
+            "customdata": np.column_stack([items["correlation"], 100.0 * items["chance"]]),
             "marker": {
                 "color": style.color,
-                "opacity": [1.0 if item.matters else 0.35 for item in items],
+                "opacity": np.where(items["matters"], 1.0, 0.35),
             },
             "hovertemplate": "%{y}: %{x:.1f} % (chance %{customdata[1]:.1f} %), rank "
             "correlation %{customdata[0]:.2f}",
@@ -175,17 +163,17 @@ def _sensitivity(findings: Findings) -> Chart:
     return _bars(title, traces, findings.drivers, x=x, legend="inside")
 
 
-def _marked(runs: Runs, colors: Mapping[str, str]) -> list[tuple[np.ndarray, str, str, str]]:
+def _marked(runs: pd.DataFrame, colors: Mapping[str, str]) -> list[tuple[pd.Series, str, str, str]]:
     """Return the groups of runs to distinguish: mask, label, color and symbol; failed runs by the
     first limit they left.
     """
-    failed = ~runs.settled
-    marked = [(runs.settled, "settled", SETTLED, "circle")]
-    if runs.first_limit is None:
+    failed = ~runs["is_settled"]
+    marked = [(~failed, "settled", SETTLED, "circle")]
+    if FIRST_LIMIT not in runs:
         return [*marked, (failed, "not settled", FAILED, "x")]
-    refused = runs.outcome == "refused"
+    refused = runs["outcome"] == "refused"
     for limit, count in limits_of(runs).items():
-        which = failed & ~refused & (runs.first_limit == limit)
+        which = failed & ~refused & (runs[FIRST_LIMIT] == limit)
         marked.append((which, f"{limit or 'within all limits'}: {count}", colors[limit], "x"))
     return [
         *marked,
@@ -193,27 +181,25 @@ def _marked(runs: Runs, colors: Mapping[str, str]) -> list[tuple[np.ndarray, str
     ]
 
 
-def limits_of(runs: Runs) -> dict[str, int]:
+def limits_of(runs: pd.DataFrame) -> dict[str, int]:
     """Return the limits that failed runs left first, "" for none, and how many; the most frequent
     first.
     """
-    if runs.first_limit is None:
+    if FIRST_LIMIT not in runs:
         return {}
-    failed = runs.first_limit[
-        ~runs.settled & (runs.outcome != "refused") & (runs.outcome != "error")
-    ]
-    names, counts = np.unique(failed, return_counts=True)
-    return {str(names[i]): int(counts[i]) for i in np.argsort(-counts, kind="stable")}
+    failed = runs[~runs["outcome"].isin(["settled", "refused", "error"])]
+    counts = failed.groupby(FIRST_LIMIT).size().sort_values(ascending=False, kind="stable")
+    return dict(counts)
 
 
-def _map(findings: Findings, runs: Runs, colors: Mapping[str, str]) -> Chart:
+def _map(findings: Findings, controller: str, colors: Mapping[str, str]) -> Chart:
     """Outcomes of one controller over two values, and where it is predicted to fail."""
-    grid = findings.map
+    grid, runs = findings.map, findings.table.runs[controller]
     assert grid is not None
-    known = np.isfinite(grid.radius.get(runs.controller, np.nan)).any()
+    known = np.isfinite(grid.radius.get(controller, np.nan)).any()
     boundary = {
         "type": "contour", "x": grid.x, "y": grid.y,
-        "z": grid.side(runs.controller) if known else [],
+        "z": grid.side(controller) if known else [],
         # One level, at 1: clear below it, shaded above.
         "autocontour": False,
         "contours": {"start": 1.0, "end": 1.0, "size": 0.1, "coloring": "fill"},
@@ -221,20 +207,19 @@ def _map(findings: Findings, runs: Runs, colors: Mapping[str, str]) -> Chart:
         "colorscale": [[0.0, "rgba(255, 255, 255, 0)"], [1.0, UNSTABLE]],
         "line": {"color": NEUTRAL, "width": 2, "smoothing": 0},
     }  # fmt: skip
-    x, y = (findings.table.values[axis][runs.case] for axis in (grid.x_name, grid.y_name))
-    texts = np.array([
-        f"case {case}: {outcome}" for case, outcome in zip(runs.case, runs.outcome, strict=True)
-    ])  # fmt: skip
-    size = 7.0 if x.size < 1000 else 4.0
+    values = findings.table.values.loc[runs.index]
+    x, y = (values[name].to_numpy() for name in (grid.x_name, grid.y_name))
+    texts = [f"case {case}: {outcome}" for case, outcome in runs["outcome"].items()]
+    size = 7.0 if len(runs) < 1000 else 4.0
     curves = [
         Curve(
             x[which], y[which], Style(color), label, line=False, marker=symbol, size=size,
-            texts=texts[which].tolist(),
+            texts=list(itertools.compress(texts, which)),
         )
         for which, label, color, symbol in _marked(runs, colors)
     ]  # fmt: skip
     return Chart(
-        title=findings.spec.label(runs.controller), kind="map", curves=curves, legend="inside",
+        title=findings.spec.label(controller), kind="map", curves=curves, legend="inside",
         traces=[boundary] if known else [], x=grid.x_name, y=grid.y_name,
         log_x="~g" * grid.x_log, log_y="~g" * grid.y_log,
     )  # fmt: skip

@@ -16,14 +16,16 @@ from ffsm_drake.common.errors import CampaignError
 from ffsm_drake.common.files import published, write_text
 from ffsm_drake.common.numbers import NONE, number, percent
 from ffsm_drake.common.steps import step
-from ffsm_drake.plugins.campaign.charts import GRID_METRICS, chart_views, limits_of
+from ffsm_drake.plugins.campaign.charts import chart_views, limits_of
 from ffsm_drake.plugins.campaign.evaluate import OUTCOMES, metric_tables
 from ffsm_drake.plugins.campaign.spec import Spec
 from ffsm_drake.plugins.campaign.statistics import (
     CONFIDENCE,
     FEWEST_PAIRS,
+    GRID_METRICS,
     Findings,
     Interval,
+    agreed,
     find,
     quantiles,
     worst_runs,
@@ -34,7 +36,6 @@ from ffsm_drake.show.table_files import Column
 from ffsm_drake.show.tables import aligned
 
 _PAGE = "report.html"
-_PREDICTED = ("stable_settled", "stable_failed", "unstable_settled", "unstable_failed")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -93,7 +94,7 @@ def _columns(findings: Findings) -> list[Column]:
     runs_of, rates = findings.table.runs, findings.success.values()
     columns = [
         Column(name="controller", cells=[findings.spec.label(name) for name in runs_of]),
-        Column(name="runs", cells=[runs.settled.size for runs in runs_of.values()]),
+        Column(name="runs", cells=[len(runs) for runs in runs_of.values()]),
     ]
     for name, key in (("settled", "value"), ("at least", "low"), ("at most", "high")):
         cells = [100.0 * getattr(rate, key) for rate in rates]
@@ -109,23 +110,18 @@ def _columns(findings: Findings) -> list[Column]:
 def summary_text(findings: Findings) -> str:
     """Success rates and the prediction's agreement, as plain text."""
     rates = [["controller", "settled", "95 % interval", "predicted correctly"]]
-    for item in findings.agreement:
-        rate = findings.success[item.controller]
-        predicted = f"{percent(item.share)} of {item.total}"
-        rates.append(
-            [findings.spec.label(item.controller), percent(rate.value), _between(rate), predicted]
-        )
-
-    totals = [str(sum(getattr(item, name) for item in findings.agreement)) for name in _PREDICTED]
-    outcomes = [["", "settled", "not settled"]]
+    for name, counts in findings.agreement.items():
+        rate = findings.success[name]
+        predicted = f"{percent(agreed(counts))} of {counts.sum()}"
+        rates.append([findings.spec.label(name), percent(rate.value), _between(rate), predicted])
     names = (
         ("stable", "unstable")
         if findings.spec.base["capture"] is None
         else ("to settle", "to fail")
     )
-    outcomes += [
-        [f"predicted {name}", *totals[at : at + 2]] for name, at in zip(names, (0, 2), strict=True)
-    ]
+    totals = np.sum([*findings.agreement.values()], axis=0).astype(str)
+    outcomes = [["", "settled", "not settled"]]
+    outcomes += [[f"predicted {name}", *row] for name, row in zip(names, totals, strict=True)]
     return "\n".join([*aligned(rates), "", *aligned(outcomes), *findings.unpredicted])
 
 
@@ -142,7 +138,7 @@ def _page(store: Store, findings: Findings) -> str:
         "confidence": f"{100.0 * CONFIDENCE:.0f}",
         "outcomes": [kind.replace("_", " ") for kind in OUTCOMES],
         "has_capture": spec.base["capture"] is not None,
-        "any_failed": any(not runs.settled.all() for runs in findings.table.runs.values()),
+        "any_failed": any(not runs["is_settled"].all() for runs in findings.table.runs.values()),
         **_controller_tables(findings),
         **_grid_table(findings),
         **_comparisons(findings),
@@ -187,7 +183,7 @@ def _controller_tables(findings: Findings) -> dict[str, Any]:
     runs_of = {findings.spec.label(name): runs for name, runs in findings.table.runs.items()}
     success = [
         [label, percent(rate.value), _between(rate)]
-        + [int((runs.outcome == kind).sum()) for kind in OUTCOMES]
+        + [int((runs["outcome"] == kind).sum()) for kind in OUTCOMES]
         for (label, runs), rate in zip(runs_of.items(), findings.success.values(), strict=True)
     ]
     metrics = [
@@ -210,18 +206,17 @@ def _controller_tables(findings: Findings) -> dict[str, Any]:
 
 def _grid_table(findings: Findings) -> dict[str, Any]:
     """Return a row for each point of the grid."""
-    header = [*findings.spec.distributions, "controller", "outcome", *GRID_METRICS.values()]
-    rows = []
-    for point in findings.grid:
-        outcomes = (f"{count} {kind.replace('_', ' ')}" for kind, count in point.outcomes.items())
-        means = (number(point.means[name], 3) for name in GRID_METRICS)
-        row = [
-            *point.levels.values(),
-            findings.spec.label(point.controller),
-            ", ".join(outcomes),
-            *means,
+    values = [*findings.spec.distributions]
+    rows = [
+        [
+            *(point[name] for name in values),
+            findings.spec.label(point["controller"]),
+            point["outcome"],
+            *(number(point[name], 3) for name in GRID_METRICS),
         ]
-        rows.append(row)
+        for point in findings.grid.to_dict("records")
+    ]
+    header = [*values, "controller", "outcome", *GRID_METRICS.values()]
     return {"grid_header": header, "grid_rows": rows}
 
 
@@ -236,10 +231,11 @@ def _comparisons(findings: Findings) -> dict[str, Any]:
         ]
         for d in findings.differences
     ]
+    found = findings.sensitivities.set_index("name").loc[findings.drivers]
     sensitivities = [
         (
             [
-                name,
+                s.Index,
                 findings.spec.label(s.controller),
                 percent(s.share),
                 percent(s.chance),
@@ -247,17 +243,11 @@ def _comparisons(findings: Findings) -> dict[str, Any]:
             ],
             s.matters,
         )
-        for name in findings.drivers
-        for s in findings.sensitivities
-        if s.name == name
+        for s in found.itertuples()
     ]
     agreement = [
-        [
-            findings.spec.label(one.controller),
-            *(getattr(one, kind) for kind in _PREDICTED),
-            percent(one.share),
-        ]
-        for one in findings.agreement
+        [findings.spec.label(name), *counts.ravel(), percent(agreed(counts))]
+        for name, counts in findings.agreement.items()
     ]
     return {"differences": differences, "sensitivities": sensitivities, "agreement": agreement}
 
@@ -271,8 +261,7 @@ def _worst(store: Store, findings: Findings) -> list[tuple[list[Any], str]]:
     """Cells and the command of each controller's worst runs."""
     rows = []
     for name, runs in findings.table.runs.items():
-        for place in worst_runs(runs):
-            case = int(runs.case[place])
+        for case in worst_runs(runs):
             row = store.result(case, name)
             message = (
                 row["message"] or f"final joint error {number(row['final_error_joints'], 3)} rad"
@@ -284,7 +273,7 @@ def _worst(store: Store, findings: Findings) -> list[tuple[list[Any], str]]:
                     [
                         findings.spec.label(name),
                         case,
-                        runs.outcome[place].replace("_", " "),
+                        row["outcome"].replace("_", " "),
                         message,
                         values,
                     ],
@@ -305,7 +294,7 @@ def _between(interval: Interval) -> str:
     return f"{100.0 * interval.low:.1f} … {100.0 * interval.high:.1f} %"
 
 
-def _spread(values: tuple[float, float, float]) -> str:
+def _spread(values: np.ndarray) -> str:
     low, middle, high = values
     return (
         NONE

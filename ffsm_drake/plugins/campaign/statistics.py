@@ -2,7 +2,6 @@
 
 import contextlib
 import dataclasses
-import functools
 import itertools
 import json
 import math
@@ -19,12 +18,7 @@ from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.campaign.evaluate import (
     COMPLETED,
-    DIVERGENCE,
-    FIRST_LIMIT,
-    LOAD,
-    METRICS,
     NO_PREDICTION,
-    PREDICTIONS,
     metrics_of,
     predictions_of,
     texts_of,
@@ -33,73 +27,52 @@ from ffsm_drake.plugins.campaign.prediction import StabilityMap, predict_map
 from ffsm_drake.plugins.campaign.spec import Spec
 from ffsm_drake.plugins.campaign.store import Store
 from ffsm_drake.runs.ending import NOT_CAPTURED
+from ffsm_drake.runs.metrics import METRICS as RUN_METRICS
 from ffsm_drake.runs.record import software_versions
 
 CONFIDENCE = 0.95
 BINS = 10  # equally filled, for the share of variance that a value explains
 _PERMUTATIONS = 500
 FEWEST_PAIRS = 10  # fewest pairs for a confidence interval
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class Runs:
-    """The stored runs of one controller: arrays (n,) in the order of the cases; NaN: no value."""
-
-    controller: str
-    case: np.ndarray
-    outcome: np.ndarray  # text
-    # columns of ``metrics_of``, ``predictions_of``, outcome_time and wall_time
-    metrics: Mapping[str, np.ndarray]
-    first_limit: np.ndarray | None = None  # text, "" for none; of campaigns with a capture
-
-    @functools.cached_property
-    def settled(self) -> np.ndarray:
-        return self.outcome == "settled"
-
-    @functools.cached_property
-    def predicted(self) -> np.ndarray:
-        """The largest predictor; below 1: predicted to settle; NaN: no prediction."""
-        found = [
-            self.metrics[name] for name in (*PREDICTIONS, LOAD, DIVERGENCE) if name in self.metrics
-        ]
-        return np.asarray(np.fmax.reduce(found))
+_HEADINGS = {each.column_name: each.column_heading for each in RUN_METRICS}
+GRID_METRICS = {
+    name: _HEADINGS[name]
+    for name in ("isv", "itae", "peak_effort_base_position", "peak_error_base_rotation")
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Table:
     """A campaign's results in memory: some hundred bytes per run."""
 
-    runs: Mapping[str, Runs]  # by controller
-    # the sampled values that are numbers, by name, (number of cases,)
-    values: Mapping[str, np.ndarray]
+    # Stored runs by controller, indexed by case: the columns of ``read_table``
+    runs: Mapping[str, pd.DataFrame]
+    values: pd.DataFrame  # sampled values that are numbers and vary, by name, indexed by case
 
 
 @step("reading the runs")
 def read_table(store: Store) -> Table:
-    """Read the results that a database holds so far."""
+    """Read the results that a database holds so far.
+
+    The columns of runs are ``controller``, ``outcome`` (text), those of ``metrics_of`` and
+    ``predictions_of``, ``outcome_time`` (s), ``wall_time`` (s), and with a capture ``first_limit``
+    (text, "" for none); NaN: no value. Beside the stored ones there are ``is_settled`` and
+    ``predicted``, the largest predictor; below 1: predicted to settle; NaN: no prediction.
+    """
     spec = store.spec
     numbers = ("outcome_time", "wall_time", *metrics_of(spec), *predictions_of(spec))
     columns = ("controller", "case_index", "outcome", *texts_of(spec), *numbers)
     rows = store.query(f"SELECT {', '.join(columns)} FROM results ORDER BY case_index")
     frame = pd.DataFrame(rows, columns=columns).astype(dict.fromkeys(numbers, float))
-    runs = {}
-    for name in spec.controllers:
-        own = frame[frame["controller"] == name]
-        limits = own[FIRST_LIMIT].fillna("").to_numpy(str) if FIRST_LIMIT in own else None
-        runs[name] = Runs(
-            controller=name,
-            case=own["case_index"].to_numpy(int),
-            outcome=own["outcome"].to_numpy(str),
-            metrics={each: own[each].to_numpy() for each in numbers},
-            first_limit=limits,
-        )
-    sampled = {name: store.sampled(name) for name in spec.distributions}
-    values = {
-        name: np.array(column, dtype=float)
-        for name, column in sampled.items()
-        if all(isinstance(value, (int, float)) for value in column) and len(set(column)) > 1
-    }
-    return Table(runs=runs, values=values)
+    frame = frame.set_index("case_index").fillna(dict.fromkeys(texts_of(spec), ""))
+    frame["is_settled"] = frame["outcome"] == "settled"
+    frame["predicted"] = frame[[*predictions_of(spec)]].max(axis=1)
+    values = pd.DataFrame({name: store.sampled(name) for name in spec.distributions})
+    values = values.select_dtypes("number").astype(float)
+    return Table(
+        runs={name: frame[frame["controller"] == name] for name in spec.controllers},
+        values=values.loc[:, values.nunique() > 1],
+    )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -111,16 +84,17 @@ class Interval:
     high: float
 
 
-def success_rate(runs: Runs) -> Interval:
+def success_rate(runs: pd.DataFrame) -> Interval:
     """Share of settled runs, with the Clopper-Pearson interval. An error row counts as not
     settled.
     """
-    if runs.case.size == 0:
+    if runs.empty:
         return Interval(value=math.nan, low=0.0, high=1.0)
-    found = stats.binomtest(int(runs.settled.sum()), int(runs.case.size)).proportion_ci(
+    settled = runs["is_settled"]
+    found = stats.binomtest(int(settled.sum()), settled.size).proportion_ci(
         CONFIDENCE, method="exact"
     )
-    return Interval(value=float(runs.settled.mean()), low=float(found.low), high=float(found.high))
+    return Interval(value=float(settled.mean()), low=float(found.low), high=float(found.high))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -138,25 +112,22 @@ class Difference:
 
 def paired_differences(table: Table) -> list[Difference]:
     """Return every pair of controllers."""
-    return [
-        _difference(first, second)
-        for first, second in itertools.combinations(table.runs.values(), 2)
-    ]
+    return [_difference(table, *pair) for pair in itertools.combinations(table.runs, 2)]
 
 
-def _difference(first: Runs, second: Runs) -> Difference:
-    _, i, j = np.intersect1d(first.case, second.case, assume_unique=True, return_indices=True)
-    settled = first.settled[i].astype(int) - second.settled[j]
-    both = first.settled[i] & second.settled[j]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = (first.metrics["itae"][i] / second.metrics["itae"][j])[both]
+def _difference(table: Table, first: str, second: str) -> Difference:
+    one, other = table.runs[first].align(table.runs[second], join="inner", axis=0)
+    both = one["is_settled"] & other["is_settled"]
+    ratios = (one["itae"] / other["itae"])[both].to_numpy()
     ratios = ratios[np.isfinite(ratios)]
     return Difference(
-        first=first.controller,
-        second=second.controller,
-        cases=int(i.size),
+        first=first,
+        second=second,
+        cases=both.size,
         success=_paired_proportions(
-            int((settled > 0).sum()), int((settled < 0).sum()), int(i.size)
+            int((one["is_settled"] & ~both).sum()),
+            int((other["is_settled"] & ~both).sum()),
+            both.size,
         ),
         itae_ratio=_median(ratios) if ratios.size >= FEWEST_PAIRS else None,
         both=int(both.sum()),
@@ -192,43 +163,39 @@ def _median(sample: np.ndarray) -> Interval:
     return Interval(value=float(np.median(sample)), low=float(found.low), high=float(found.high))
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Sensitivity:
-    """Effect of a value on the failure of runs."""
-
-    name: str
-    controller: str
-    correlation: float  # Spearman's, with failure; positive: larger values fail more often
-    share: float  # explained share of the variance of failure, by equally filled bins
-    chance: float  # 95 % quantile of the share of a value without effect
-
-    @property
-    def matters(self) -> bool:
-        return self.share > self.chance
-
-
 @step("computing the influence of the values")
-def sensitivities(table: Table, *, seed: int) -> list[Sensitivity]:
-    """Every sampled value and controller; NaN if all runs have the same outcome."""
-    return [
-        _sensitivity(name, table.values[name][runs.case], runs, seed=seed)
-        for runs in table.runs.values()
-        for name in table.values
-    ]
+def sensitivities(table: Table, *, seed: int) -> pd.DataFrame:
+    """Effect of every sampled value (``name``) on the failure of the runs of each ``controller``.
+
+    The columns are NaN if all runs have the same outcome:
+      correlation: Spearman's, with failure; positive: larger values fail more often.
+      share: explained share of the variance of failure, by equally filled bins.
+      chance: 95 % quantile of the share of a value without effect.
+      matters: whether the share is beyond chance.
+    """
+    found = pd.DataFrame(
+        [
+            (name, controller, *_sensitivity(table.values.loc[runs.index, name], runs, seed=seed))
+            for controller, runs in table.runs.items()
+            for name in table.values
+        ],
+        columns=["name", "controller", "correlation", "share", "chance"],
+    )
+    return found.assign(matters=found["share"] > found["chance"])
 
 
-def _sensitivity(name: str, values: np.ndarray, runs: Runs, *, seed: int) -> Sensitivity:
-    failed = (~runs.settled).astype(float)
-    made = functools.partial(Sensitivity, name=name, controller=runs.controller)
+def _sensitivity(values: pd.Series, runs: pd.DataFrame, *, seed: int) -> tuple[float, float, float]:
+    """Return correlation, share and chance."""
+    failed = (~runs["is_settled"]).to_numpy(float)
     if failed.size < 2 * BINS or failed.min() == failed.max():
-        return made(correlation=math.nan, share=math.nan, chance=math.nan)
+        return math.nan, math.nan, math.nan
     bins = np.minimum(((stats.rankdata(values) - 0.5) * BINS / values.size).astype(int), BINS - 1)
     generator = np.random.default_rng(seed)
     by_chance = [_explained(bins, generator.permutation(failed)) for _ in range(_PERMUTATIONS)]
-    return made(
-        correlation=float(stats.spearmanr(values, failed).statistic),
-        share=_explained(bins, failed),
-        chance=float(np.quantile(by_chance, CONFIDENCE)),
+    return (
+        float(stats.spearmanr(values, failed).statistic),
+        _explained(bins, failed),
+        float(np.quantile(by_chance, CONFIDENCE)),
     )
 
 
@@ -239,103 +206,70 @@ def _explained(bins: np.ndarray, failed: np.ndarray) -> float:
     return float(np.sum(count * (mean - failed.mean()) ** 2) / (failed.size * failed.var()))
 
 
-def most_influential(found: list[Sensitivity]) -> list[str]:
+def most_influential(found: pd.DataFrame) -> list[str]:
     """Return the names by the share they explain, summed over the controllers, largest first."""
-    names = list(dict.fromkeys(item.name for item in found))
-    total = {name: np.nansum([item.share for item in found if item.name == name]) for name in names}
-    return sorted(names, key=lambda name: -total[name])
+    total = found.groupby("name", sort=False)["share"].sum()
+    return list(total.sort_values(ascending=False, kind="stable").index)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Agreement:
-    """Number of runs by prediction and outcome; unstable: predicted to fail for any reason."""
-
-    controller: str
-    stable_settled: int
-    stable_failed: int
-    unstable_settled: int
-    unstable_failed: int
-
-    @property
-    def total(self) -> int:
-        return sum(value for value in vars(self).values() if isinstance(value, int))
-
-    @property
-    def share(self) -> float:
-        """Share of the runs with the predicted outcome."""
-        return (self.stable_settled + self.unstable_failed) / self.total if self.total else math.nan
+def agreement(runs: pd.DataFrame) -> np.ndarray:
+    """Count the runs (2, 2) that are predicted to settle or to fail, for any reason (rows), and
+    that did settle or not (columns); without errors, refused runs and runs without prediction.
+    """
+    known = runs[runs["predicted"].notna() & ~runs["outcome"].isin(["error", "refused"])]
+    stable, settled = known["predicted"] < 1.0, known["is_settled"]
+    return np.array([
+        [(foreseen & found).sum() for found in (settled, ~settled)]
+        for foreseen in (stable, ~stable)
+    ])  # fmt: skip
 
 
-def agreement(runs: Runs) -> Agreement:
-    """Count predictions and outcomes, without errors, refused runs and runs without prediction."""
-    known = ~np.isin(runs.outcome, ("error", "refused")) & ~np.isnan(runs.predicted)
-    stable = runs.predicted < 1.0
-    counts = {
-        f"{prediction}_{outcome}": int((known & foreseen & found).sum())
-        for prediction, foreseen in (("stable", stable), ("unstable", ~stable))
-        for outcome, found in (("settled", runs.settled), ("failed", ~runs.settled))
-    }
-    return Agreement(controller=runs.controller, **counts)
+def agreed(counts: np.ndarray) -> float:
+    """Return the share of the runs of an ``agreement`` with the predicted outcome; NaN: none."""
+    return float(np.trace(counts) / counts.sum()) if counts.any() else math.nan
 
 
-def worst_runs(runs: Runs) -> np.ndarray:
-    """Return positions of the five worst runs: errors, earliest divergences, largest final
+def worst_runs(runs: pd.DataFrame) -> list[int]:
+    """Return the cases of the five worst runs: errors, earliest divergences, largest final
     errors.
     """
-    errors = [runs.metrics[name] for name in METRICS if name.startswith("final_error")]
-    final = np.nanmax(np.vstack([np.zeros(runs.case.size), *errors]), axis=0)
-    kinds = ("error", "diverged", *NOT_CAPTURED, "growing", "not_settled", "refused")
-    order = np.select(
-        [runs.outcome == kind for kind in kinds], range(len(kinds)), default=len(kinds)
-    )
-    time = np.where(runs.outcome == "diverged", runs.metrics["outcome_time"], 0.0)
-    return np.lexsort((-final, time, order))[:5]
+    kinds = ("error", "diverged", *NOT_CAPTURED, "growing", "not_settled", "refused", "settled")
+    order = runs["outcome"].map(kinds.index)
+    time = runs["outcome_time"].where(runs["outcome"] == "diverged", 0.0)
+    final = runs.filter(regex="^final_error_").max(axis=1).fillna(0.0)
+    return runs.index[np.lexsort((-final, time, order))[:5]].tolist()
 
 
-def quantiles(runs: Runs, metric: str) -> tuple[float, float, float]:
+def quantiles(runs: pd.DataFrame, metric: str) -> np.ndarray:
     """5 %, 50 % and 95 % quantile of a metric over the settled runs; NaN if there is none."""
-    values = runs.metrics[metric][runs.settled]
-    low, middle, high = np.quantile(values, (0.05, 0.5, 0.95)) if values.size else [math.nan] * 3
-    return float(low), float(middle), float(high)
+    values = runs.loc[runs["is_settled"], metric]
+    return np.quantile(values, (0.05, 0.5, 0.95)) if values.size else np.full(3, math.nan)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class GridPoint:
-    """The runs of one controller at one combination of a grid's values."""
+def grid_points(spec: Spec, table: Table) -> pd.DataFrame:
+    """Return a row for every combination of a grid's values and every controller that was run; none
+    where the sampling is not a grid.
 
-    levels: Mapping[str, str]  # the names of the values
-    controller: str
-    outcomes: Mapping[str, int]  # number of runs, of outcomes that there are
-    means: Mapping[str, float]  # mean of every metric over the completed runs; NaN: none
-
-
-def grid_points(spec: Spec, table: Table) -> list[GridPoint]:
-    """Return every combination and controller that was run; none where the sampling is not a
-    grid.
+    The columns are the names of the values, ``controller``, ``outcome`` (numbers of runs, in
+    words), and the means of GRID_METRICS over the completed runs; NaN: none.
     """
-    if spec.sampling != "grid":
-        return []
-    combinations = math.prod(len(item.levels) for item in spec.distributions.values())
-    return [
-        _grid_point(spec, runs, first, runs.case % combinations == first)
-        for first in range(combinations)
-        for runs in table.runs.values()
-        if first in runs.case
-    ]
-
-
-def _grid_point(spec: Spec, runs: Runs, first: int, here: np.ndarray) -> GridPoint:
-    ended = here & np.isin(runs.outcome, COMPLETED)
-    names, counts = np.unique(runs.outcome[here], return_counts=True)
-    return GridPoint(
-        levels={name: spec.level(name, first) for name in spec.distributions},
-        controller=runs.controller,
-        outcomes=dict(zip(names.tolist(), counts.tolist(), strict=True)),
-        means={
-            name: float(values[ended].mean()) if ended.any() else math.nan
-            for name, values in runs.metrics.items()
-        },
-    )
+    rows = []
+    levels = [item.levels for item in spec.distributions.values()]
+    combinations = math.prod(map(len, levels)) if spec.sampling == "grid" else 0
+    for first, (name, runs) in itertools.product(range(combinations), table.runs.items()):
+        here = runs[runs.index % combinations == first]
+        if here.empty:
+            continue
+        counts = here["outcome"].value_counts().sort_index()
+        outcomes = (f"{count} {kind.replace('_', ' ')}" for kind, count in counts.items())
+        ended = here.loc[here["outcome"].isin(COMPLETED), [*GRID_METRICS]]
+        rows.append({
+            **{value: spec.level(value, first) for value in spec.distributions},
+            "controller": name,
+            "outcome": ", ".join(outcomes),
+            **ended.mean(skipna=False),
+        })  # fmt: skip
+    return pd.DataFrame(rows)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -346,22 +280,22 @@ class Findings:
     table: Table
     success: dict[str, Interval]  # by controller
     differences: list[Difference]
-    sensitivities: list[Sensitivity]
+    sensitivities: pd.DataFrame
     influential: list[str]  # sampled numbers, most influential first
-    agreement: list[Agreement]
+    agreement: dict[str, np.ndarray]  # by controller
     unpredicted: list[str]  # runs whose loop cannot be linearised, and why; a line per controller
     map: StabilityMap | None  # None with fewer than two sampled numbers
-    grid: list[GridPoint]  # empty if the sampling is not a grid
+    grid: pd.DataFrame  # empty if the sampling is not a grid
 
     @property
     def drivers(self) -> list[str]:
         """The ``influential`` values that explain failures of some controller beyond chance."""
-        matter = {item.name for item in self.sensitivities if item.matters}
+        matter = {*self.sensitivities["name"][self.sensitivities["matters"]]}
         return [name for name in self.influential if name in matter]
 
     @property
     def runs(self) -> int:
-        return sum(runs.case.size for runs in self.table.runs.values())
+        return sum(map(len, self.table.runs.values()))
 
 
 def find(
@@ -389,7 +323,7 @@ def find(
         differences=paired_differences(table),
         sensitivities=found,
         influential=influential,
-        agreement=[agreement(runs) for runs in table.runs.values()],
+        agreement={name: agreement(runs) for name, runs in table.runs.items()},
         unpredicted=_unpredicted(store),
         map=None if axes is None else _map(store, axes, table, boundary, progress),
         grid=grid_points(spec, table),

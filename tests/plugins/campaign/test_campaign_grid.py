@@ -46,7 +46,8 @@ def database(tmp_path_factory):
 def points(database):
     with open_store(database) as store:
         found = find(store).grid
-    return {(*point.levels.values(), point.controller): point for point in found}
+    values = ["estimator.kind", "controllers", "sensing.velocity_noise", "controller"]
+    return found.set_index(values).to_dict("index")
 
 
 @pytest.mark.smoke
@@ -101,7 +102,7 @@ def test_a_point_is_what_simulate_gives(database, points):
         "controllers.tdc.k_p={base_position: 4, base_rotation: 25, joints: 100}",
     ]  # fmt: skip
     metrics = simulate(load_scenario("postcapture", overrides)).metrics
-    means = points["kalman", "moderate", "0.0001", "tdc"].means
+    means = points["kalman", "moderate", "0.0001", "tdc"]
     assert (means["itae"], means["isv"]) == (metrics["itae"], metrics["isv"])
 
 
@@ -112,7 +113,7 @@ def test_effort_of_the_published_estimate_grows_with_the_square_of_the_noise(poi
     scenario = load_scenario("postcapture", overrides)
     ideal = make_demand(scenario).ideal_isv
     small, large = (
-        points["one_sample", "published", sigma, controller].means["isv"] - ideal
+        points["one_sample", "published", sigma, controller]["isv"] - ideal
         for sigma in ("1e-05", "0.0001")
     )
     assert large / small == pytest.approx(100.0, rel=0.15)
@@ -123,8 +124,7 @@ def test_effort_of_the_published_estimate_grows_with_the_square_of_the_noise(poi
 @pytest.mark.parametrize("controller", ["tde_aismc", "asmc", "tdc"])
 def test_the_kalman_estimate_is_cheaper_and_takes_its_gains_to_be_so(points, controller):
     isv = {
-        way: points[(*way, "0.0001", controller)].means["isv"]
-        for way in itertools.product(KINDS, GAINS)
+        way: points[(*way, "0.0001", controller)]["isv"] for way in itertools.product(KINDS, GAINS)
     }
     assert isv["kalman", "moderate"] < isv["one_sample", "moderate"] / 10.0
     assert isv["one_sample", "moderate"] < isv["one_sample", "published"]

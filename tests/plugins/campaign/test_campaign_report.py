@@ -9,6 +9,7 @@ import shutil
 import time
 
 import numpy as np
+import pandas as pd
 import pytest
 from campaign_tools import invoke, run_here, sql, write_spec
 from html_page import Page
@@ -17,14 +18,13 @@ from steps_seen import steps_seen
 
 from ffsm_drake.common.errors import CampaignError
 from ffsm_drake.plugins.campaign import prediction
-from ffsm_drake.plugins.campaign.evaluate import METRICS, PREDICTIONS
 from ffsm_drake.plugins.campaign.page import write_report
 from ffsm_drake.plugins.campaign.plan import plan_text, status_text
 from ffsm_drake.plugins.campaign.prediction import predict_map
 from ffsm_drake.plugins.campaign.spec import load_spec
 from ffsm_drake.plugins.campaign.statistics import (
-    Runs,
     Table,
+    agreed,
     agreement,
     find,
     most_influential,
@@ -36,21 +36,14 @@ from ffsm_drake.plugins.campaign.statistics import (
 from ffsm_drake.plugins.campaign.store import open_store
 
 
-def make_runs(settled, *, controller="tdc", **metrics):
+def make_runs(settled, **columns):
     settled = np.asarray(settled, dtype=bool)
-    columns = {
-        name: np.full(settled.size, np.nan)
-        for name in ("outcome_time", "wall_time", *METRICS, *PREDICTIONS)
-    }
-    return Runs(
-        controller=controller,
-        case=np.arange(settled.size),
-        outcome=np.where(settled, "settled", "diverged"),
-        metrics={
-            **columns,
-            **{name: np.asarray(values, dtype=float) for name, values in metrics.items()},
-        },
-    )
+    outcome = np.where(settled, "settled", "diverged")
+    return pd.DataFrame({"outcome": outcome, "is_settled": settled, "itae": np.nan, **columns})
+
+
+def make_table(values=None, **runs):
+    return Table(runs=runs, values=pd.DataFrame(values or {}))
 
 
 @pytest.mark.smoke
@@ -72,12 +65,9 @@ def test_paired_differences_find_a_known_factor():
     generator = np.random.default_rng(0)
     itae = np.exp(generator.normal(size=400))  # cases differ by far more than controllers
     ratio = np.exp(generator.normal(math.log(1.1), 0.05, size=400))
-    table = Table(
-        runs={
-            "tdc": make_runs([True] * 400, itae=itae * ratio),
-            "asmc": make_runs([True] * 300 + [False] * 100, controller="asmc", itae=itae),
-        },
-        values={},
+    table = make_table(
+        tdc=make_runs([True] * 400, itae=itae * ratio),
+        asmc=make_runs([True] * 300 + [False] * 100, itae=itae),
     )
     (found,) = paired_differences(table)
     assert (found.cases, found.both) == (400, 300)
@@ -102,9 +92,7 @@ def test_paired_differences_find_a_known_factor():
     ],
 )
 def test_success_rates_on_the_same_cases_keep_an_interval_where_all_agree(first, second, low, high):
-    table = Table(
-        runs={"tdc": make_runs(first), "asmc": make_runs(second, controller="asmc")}, values={}
-    )
+    table = make_table(tdc=make_runs(first), asmc=make_runs(second))
     (found,) = paired_differences(table)
     assert found.success.value == pytest.approx(np.mean(first) - np.mean(second))
     assert (found.success.low, found.success.high) == (
@@ -117,14 +105,13 @@ def test_success_rates_on_the_same_cases_keep_an_interval_where_all_agree(first,
 def test_sensitivity_tells_the_cause_from_the_bystander():
     generator = np.random.default_rng(3)
     cause, bystander = generator.random(600), generator.random(600)
-    table = Table(
-        runs={
-            "tdc": make_runs(cause < 0.8),
-            "asmc": make_runs(np.abs(cause - 0.5) < 0.4, controller="asmc"),
-        },
-        values={"bystander": bystander, "cause": cause},
+    table = make_table(
+        {"bystander": bystander, "cause": cause},
+        tdc=make_runs(cause < 0.8),
+        asmc=make_runs(np.abs(cause - 0.5) < 0.4),
     )
-    found = {(item.name, item.controller): item for item in sensitivities(table, seed=0)}
+    every = sensitivities(table, seed=0)
+    found = {(item.name, item.controller): item for item in every.itertuples()}
     # one bin straddles the limit
     assert found["cause", "tdc"].share == pytest.approx(1.0, abs=0.15)
     assert found["cause", "tdc"].correlation > 0.5
@@ -133,27 +120,21 @@ def test_sensitivity_tells_the_cause_from_the_bystander():
     assert abs(found["cause", "asmc"].correlation) < 0.2
     assert not found["bystander", "tdc"].matters
     assert not found["bystander", "asmc"].matters
-    assert most_influential(list(found.values())) == ["cause", "bystander"]
+    assert most_influential(every) == ["cause", "bystander"]
 
 
 @pytest.mark.smoke
 def test_agreement_and_worst_runs():
     runs = make_runs(
         [True, False, True, False],
-        predicted_radius_starting=[0.9, 0.9, 0.9, 0.9],
-        predicted_radius_expected=[0.9, 1.1, 1.2, 0.8],
+        predicted=[0.9, 1.1, 1.2, 0.8],
         outcome_time=[20, 7, 20, 3],
         final_error_joints=[1e-6, 5, 1e-5, 4],
     )
     found = agreement(runs)
-    assert (
-        found.stable_settled,
-        found.unstable_failed,
-        found.unstable_settled,
-        found.stable_failed,
-    ) == (1, 1, 1, 1)
-    assert found.share == 0.5
-    assert worst_runs(runs).tolist() == [3, 1, 2, 0]
+    assert found.tolist() == [[1, 1], [1, 1]]
+    assert agreed(found) == 0.5
+    assert worst_runs(runs) == [3, 1, 2, 0]
 
 
 @pytest.fixture(autouse=True)
@@ -181,11 +162,12 @@ def database(tmp_path_factory):
 def test_the_predicted_boundary_agrees_with_the_outcomes(database):
     with open_store(database) as store:
         findings = find(store, axes=("nominal_error", "payload.truth.mass"))
-    asmc = next(item for item in findings.agreement if item.controller == "asmc")
-    assert asmc.total == 12
-    assert asmc.unstable_failed > 1
-    assert asmc.stable_settled > 4
-    assert asmc.share >= 0.9
+    asmc = findings.agreement["asmc"]
+    (stable_settled, _), (_, unstable_failed) = asmc
+    assert asmc.sum() == 12
+    assert unstable_failed > 1
+    assert stable_settled > 4
+    assert agreed(asmc) >= 0.9
     radius = findings.map.radius["asmc"]
     # No inertia is over-estimated by more than the payload's; one axis bears eta = 4 / (2 + (K_D +
     # K_s) L) = 1.0526.
@@ -394,7 +376,7 @@ def test_what_drives_failure_is_said_where_the_data_say_so(database, tmp_path, m
     with open_store(database) as store:
         findings = find(store)
         write_report(store, tmp_path / "page")
-    matter = {item.name for item in findings.sensitivities if item.matters}
+    matter = {item.name for item in findings.sensitivities.itertuples() if item.matters}
     assert "nominal_error" in matter
     assert set(findings.drivers) == matter != set(findings.influential)
     page = (tmp_path / "page/report.html").read_text()
