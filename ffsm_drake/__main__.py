@@ -60,7 +60,8 @@ def _main(interrupts: Interrupts) -> None:
     import threading
 
     from ffsm_drake.cli import main as ffsm
-    from ffsm_drake.cli.common import end_process, end_threads, forgiving_stderr, show_life
+    from ffsm_drake.cli.common import end_process, end_threads, forgiving_stderr
+    from ffsm_drake.cli.progress import show_life
 
     forgiving_stderr()
     over = threading.Event()

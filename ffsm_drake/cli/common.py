@@ -1,4 +1,4 @@
-"""Shared by the commands: options, errors as one line, progress."""
+"""Shared by the commands: options, errors as one line, the end of the process."""
 
 import atexit
 import functools
@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, TextIO, cast
+from typing import Any, TextIO, cast
 
 import click
 
@@ -28,10 +28,6 @@ from ffsm_drake.common.errors import (
 from ffsm_drake.common.guard import guarded, user_code_is_loaded
 from ffsm_drake.common.interrupts import exit_code, last_words
 from ffsm_drake.common.plugins import COMMANDS, load, offered
-from ffsm_drake.common.steps import current_step
-
-if TYPE_CHECKING:
-    from ffsm_drake.runs.record import RunRecord
 
 EXIT_GOOD, EXIT_BAD_INPUT, EXIT_UNSTABLE = 0, 2, 3
 
@@ -158,24 +154,6 @@ def forgiving_stderr() -> None:
         # for the process's life
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     sys.stderr = cast("TextIO", _ForgivingStream(sys.stderr))
-
-
-# options of commands that wait for their user
-_LIVE = {"--controls", "--meshcat", "--foxglove"}
-
-
-def show_life(over: threading.Event, *, first: float | None = None, then: float = 10.0) -> None:
-    """Print a sign of progress to standard error after ``first`` s of silence (default: 2 on a
-    terminal, elsewhere 10), later after ``then`` s, until it is ``over``.
-    """
-    stream, begun = sys.stderr, time.monotonic()
-    silence = first or (2.0 if stream.isatty() else then)
-    while not _LIVE.intersection(sys.argv) and not over.wait(0.2 * silence):
-        now = time.monotonic()
-        if now - getattr(stream, "written", now) >= silence:
-            at = current_step() or f"running {' '.join(['ffsm', *sys.argv[1:2]])}"
-            click.echo(f"{now - begun:4.0f} s: {at}", file=stream)
-            silence = then
 
 
 def end_threads(code: Any) -> None:
@@ -433,25 +411,3 @@ class FiniteFloat(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{value!r} is not a finite number.", param, ctx)
         return number
-
-
-class RunProgress:
-    """Progress of one run: an updated line on a terminal, else one every five simulated s."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-        self._terminal = sys.stderr.isatty()
-
-    def __call__(self, time: float, duration: float) -> None:
-        text = f"{self._name}: {time:4.0f} of {duration:g} s"
-        if self._terminal:
-            click.echo(f"\r{text}", nl=False, err=True)
-        elif round(time) % 5 == 0:
-            click.echo(text, err=True)
-
-    def close(self, record: "RunRecord") -> None:
-        """Print the run's last line."""
-        wall = record.wall_time["advance_to"]
-        start = "\r" if self._terminal else ""
-        rate = f"simulated in {wall:.2f} s, {record.realtime_factor:.0f} times real time"
-        click.echo(f"{start}{self._name}: {record.outcome.message}; {rate}", err=True)

@@ -15,7 +15,6 @@ from ffsm_drake.cli.common import (
     EXIT_BAD_INPUT,
     EXIT_GOOD,
     EXIT_UNSTABLE,
-    RunProgress,
     interrupted,
     json_option,
     located_errors,
@@ -28,6 +27,7 @@ from ffsm_drake.cli.common import (
     scenario_stem,
     table_option,
 )
+from ffsm_drake.cli.progress import ProgressLine
 from ffsm_drake.common.interrupts import writing
 from ffsm_drake.common.plugins import LIVE, SERVICES, load, optional
 
@@ -317,17 +317,26 @@ def _simulate(
     from ffsm_drake.runs.reading import REPORT_FILE
     from ffsm_drake.runs.simulate import simulate
 
-    progress = RunProgress(scenario.controller)
-    try:
-        record = simulate(scenario, progress=progress, engine=engine)
-    except BlockError as error:
-        if error.record is not None:
-            directory = _saved(error.record, directory, before)
-            (directory / REPORT_FILE).unlink(missing_ok=True)  # report of an earlier run
-            end = error.record.outcome.time
-            click.echo(f"the record up to t = {end:.2f} s is in {directory}", err=True)
-        raise
-    progress.close(record)
+    name = scenario.controller
+    with ProgressLine() as line:
+
+        def progress(time: float, duration: float) -> None:
+            line.show(f"{name}: {time:4.0f} of {duration:g} s")
+
+        try:
+            record = simulate(scenario, progress=progress, engine=engine)
+        except BlockError as error:
+            if error.record is not None:
+                directory = _saved(error.record, directory, before)
+                (directory / REPORT_FILE).unlink(missing_ok=True)  # report of an earlier run
+                end = error.record.outcome.time
+                click.echo(f"the record up to t = {end:.2f} s is in {directory}", err=True)
+            raise
+        pace = (
+            f"simulated in {record.wall_time['advance_to']:.2f} s, "
+            f"{record.realtime_factor:.0f} times real time"
+        )
+        line.show(f"{name}: {record.outcome.message}; {pace}", last=True)
     return record
 
 

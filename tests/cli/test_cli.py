@@ -18,7 +18,8 @@ from entry_points import is_there, needs
 
 from ffsm_drake import FfsmError, RunRecord, load_scenario
 from ffsm_drake.cli import main
-from ffsm_drake.cli.common import forgiving_stderr, show_life
+from ffsm_drake.cli.common import forgiving_stderr
+from ffsm_drake.cli.progress import ProgressLine, show_life
 from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.common.steps import current_step, step
 from ffsm_drake.scenario import shipped_scenarios
@@ -260,6 +261,24 @@ def test_a_silent_command_names_its_steps(tmp_path):
     assert "checking the linear loop" in steps
     assert "searching for a change that helps (checking the linear loop)" in steps
     assert any(each.startswith("writing the report") for each in steps)
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_progress_is_one_updated_line_on_a_terminal_and_rare_lines_elsewhere(
+    terminal, capsys, monkeypatch
+):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    with ProgressLine(period=60.0) as line:
+        line.show("first", share=0.5)
+        line.show("too soon")
+        line.show("last", last=True)
+    first, begin = ("[############............] first", "\r") if terminal else ("first\n", "f")
+    told = capsys.readouterr().err
+    assert "too soon" not in told
+    assert told.count("\n") == (1 if terminal else 2)
+    assert first in told
+    assert told.rstrip().endswith("last")
+    assert told.startswith(begin)
 
 
 @pytest.mark.parametrize(

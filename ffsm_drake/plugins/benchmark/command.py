@@ -1,7 +1,6 @@
 """The command ``ffsm benchmark``."""
 
 import sys
-from contextlib import closing
 from pathlib import Path
 
 import click
@@ -15,7 +14,7 @@ from ffsm_drake.cli.common import (
     print_result,
     table_option,
 )
-from ffsm_drake.plugins.campaign.command import ProgressLine, processors, workers_option
+from ffsm_drake.plugins.campaign.command import campaign_progress, processors, workers_option
 
 
 @click.command()
@@ -87,7 +86,7 @@ def benchmark(
             try:
                 if interrupted is None:
                     name = mission.name
-                    with step(name), closing(ProgressLine(name)) as progress:
+                    with step(name), campaign_progress(name) as progress:
                         board = run_mission(
                             mission, laws, runs, workers=crew, stop=stop, progress=progress
                         )

@@ -1,12 +1,10 @@
 """The commands ``ffsm campaign …``. They import when they run, so that ``--help`` stays fast."""
 
-import math
 import os
 import shlex
 import sys
-import time
-from collections.abc import Callable
-from contextlib import ExitStack, closing
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +20,7 @@ from ffsm_drake.cli.common import (
     out_option,
     table_option,
 )
+from ffsm_drake.cli.progress import ProgressLine
 from ffsm_drake.common.errors import CampaignError
 
 if TYPE_CHECKING:
@@ -313,6 +312,7 @@ def report(
       ffsm campaign report mine.db --table out/mine.tex
     """
     from ffsm_drake.common.files import check_writable
+    from ffsm_drake.common.numbers import counted
     from ffsm_drake.plugins.campaign.page import write_report
     from ffsm_drake.plugins.campaign.store import open_store
     from ffsm_drake.show.table_files import write_table
@@ -322,13 +322,16 @@ def report(
         check_writable(folder)  # before the slow evaluation
         if table is not None:
             check_writable(table.parent)
-        written = write_report(
-            store,
-            folder,
-            axes=axes,
-            boundary=boundary,
-            progress=_count_progress("controllers predicted"),
-        )
+        with ProgressLine() as line:
+            written = write_report(
+                store,
+                folder,
+                axes=axes,
+                boundary=boundary,
+                progress=lambda done, total: line.show(
+                    f"{done} of {counted(total, 'controller')} predicted"
+                ),
+            )
         if table is not None:
             write_table(written.table, table)
         click.echo(written.summary)
@@ -408,7 +411,7 @@ def _drive(
             opened = stack.enter_context(cluster_workers(scheduler))
         elif not slurm:
             opened = stack.enter_context(local_workers(workers or processors()))
-        progress = stack.enter_context(closing(ProgressLine()))
+        progress = stack.enter_context(campaign_progress())
         drive(path, workers=opened, stop=stop, progress=progress)
     _print_status(path)
     click.echo(f"Next: ffsm campaign report {shlex.quote(str(path))}")
@@ -427,39 +430,14 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-class ProgressLine:
-    """A campaign's progress on standard error: a bar on a terminal, plain lines elsewhere."""
+@contextmanager
+def campaign_progress(name: str = "") -> Iterator[Callable[["Progress"], None]]:
+    """Show a campaign's progress while it runs; ``name`` stands before each line."""
+    with ProgressLine(period=30.0) as line:
 
-    def __init__(self, name: str = "") -> None:
-        self._name = f"{name}: " if name else ""
-        self._terminal = sys.stderr.isatty()
-        self._period = 0.2 if self._terminal else 30.0  # s between lines
-        self._last = -math.inf
+        def show(progress: "Progress") -> None:
+            share = progress.done / max(progress.total, 1)
+            text = f"{name}: {progress}" if name else str(progress)
+            line.show(text, share=share, last=progress.done == progress.total)
 
-    def __call__(self, progress: "Progress") -> None:
-        now = time.monotonic()
-        if progress.done < progress.total and now - self._last < self._period:
-            return
-        self._last = now
-        if self._terminal:
-            bar = "#" * (24 * progress.done // max(progress.total, 1))
-            click.echo(f"\r[{bar:.<24}] {self._name}{progress!s:<90}", nl=False, err=True)
-        else:
-            click.echo(f"{self._name}{progress}", err=True)
-
-    def close(self) -> None:
-        """End the line."""
-        if self._terminal and self._last > -math.inf:
-            click.echo(err=True)
-
-
-def _count_progress(what: str) -> Callable[[int, int], None]:
-    """Progress of a few seconds' work: an updated line on a terminal, else nothing."""
-
-    def show(done: int, total: int) -> None:
-        if sys.stderr.isatty():
-            click.echo(
-                f"\r{done} of {total} {what}" + ("\n" if done == total else ""), nl=False, err=True
-            )
-
-    return show
+        yield show

@@ -2,8 +2,7 @@
 
 import dataclasses
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +18,7 @@ from ffsm_drake.cli.common import (
     rehearsal_option,
     scenario_options,
 )
+from ffsm_drake.cli.progress import ProgressLine
 
 if TYPE_CHECKING:
     from ffsm_drake.plugins.design.stability import Margins
@@ -183,15 +183,16 @@ def design(
         missions.append((candidate, mission))
         return mission.warnings[0] if mission.is_alarm else ""
 
-    found = design_gains(
-        scenario,
-        budget=budget,
-        payload_range=payload_range,
-        trade=trade,
-        time_limit=time_limit,
-        predict_mission=predict_mission,
-        progress=_search_progress(),
-    )
+    with ProgressLine() as line:
+        found = design_gains(
+            scenario,
+            budget=budget,
+            payload_range=payload_range,
+            trade=trade,
+            time_limit=time_limit,
+            predict_mission=predict_mission,
+            progress=lambda _, what: line.show(f"{line.seconds:4.0f} s: {what}"),
+        )
     chosen = found.chosen.scenario
     mission = next((each for looked_at, each in missions if looked_at is chosen), None)
     print_result(
@@ -212,18 +213,3 @@ def _told(mission: "Verdict | None") -> str:
     if mission is None:
         return "the time limit left no time to check the mission; run ffsm stability"
     return "\n".join([*mission.lines, mission.conclusion])
-
-
-def _search_progress() -> Callable[[int, str], None]:
-    """Progress of a search: an updated line on a terminal, else a line every ten seconds."""
-    start = shown = time.monotonic()
-
-    def show(_: int, what: str) -> None:
-        nonlocal shown
-        now, is_terminal = time.monotonic(), sys.stderr.isatty()
-        line = f"{now - start:4.0f} s: {what}"
-        if is_terminal or now - shown > 10.0:
-            shown = now
-            click.echo(f"\r{line}" if is_terminal else line, nl=not is_terminal, err=True)
-
-    return show

@@ -1,11 +1,11 @@
 """The command about the paper: reproduce."""
 
-import sys
 from pathlib import Path
 
 import click
 
 from ffsm_drake.cli.common import out_option
+from ffsm_drake.cli.progress import ProgressLine
 from ffsm_drake.plugins.paper import PARTS
 
 
@@ -35,19 +35,10 @@ def reproduce(what: str, out: Path, seeds: int) -> None:
 
     def show(done: int, total: int, following: str) -> None:
         reached[0] = f"{done} of {counted(total, 'run')}: {following}"
-        _show_progress(done, total, following)
+        line.show(reached[0], last=done == total)
 
-    with step(lambda: reached[0]):
+    with step(lambda: reached[0]), ProgressLine() as line:
         main_file = reproduce_paper(
             what, out, seeds=seeds, workers=2, progress=show, tell=click.echo
         )
     click.echo(f"Written to {out}; open {main_file}")
-
-
-def _show_progress(done: int, total: int, following: str) -> None:
-    """Progress of many runs: an updated line on a terminal, else a line every twenty runs."""
-    line = f"{done:3d} of {total} runs: {following}"
-    if sys.stderr.isatty():
-        click.echo(f"\r{line:<100}" + ("\n" if done == total else ""), nl=False, err=True)
-    elif done % 20 == 0 or done == total:
-        click.echo(line, err=True)
