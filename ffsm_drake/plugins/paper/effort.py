@@ -26,7 +26,7 @@ claim = claims_about("Effort and chattering")
 
 @claim("The ISV values of Table 2.", "Table 2")
 def values_of_isv(results: Results) -> Evaluated:
-    ratio = both(lambda setting: [row.isv.ratio for row in table_rows(results, setting)])
+    ratio = both(lambda setting: table_rows(results, setting)["isv_ratio"].tolist())
 
     differences = both(lambda setting: beyond_tdc(table_rows(results, setting), "mean"))
     printed = beyond_tdc(table_rows(results, "euler"), "paper")

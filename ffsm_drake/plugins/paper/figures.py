@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd  # type: ignore[import-untyped]
 from matplotlib.figure import Figure
 
 from ffsm_drake.common.numbers import rounded_up
@@ -18,7 +19,7 @@ from ffsm_drake.plugins.paper.runs import (
     Results,
     gain_of,
 )
-from ffsm_drake.plugins.paper.table import METRICS, Row
+from ffsm_drake.plugins.paper.table import METRICS
 from ffsm_drake.plugins.paper.wording import DISTURBANCE_NAMES, NAMES, ending, fixed
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import load_scenario
@@ -131,7 +132,7 @@ def _write_overlaid(
     return written
 
 
-def write_overview(rows: list[Row], directory: Path) -> FigureFile:
+def write_overview(rows: pd.DataFrame, directory: Path) -> FigureFile:
     """Write Table 2 as a figure."""
     title = "Table 2 as a picture"
     caption = (
@@ -157,7 +158,7 @@ def write_divergence(results: Results, directory: Path) -> FigureFile:
     return _write(plot_divergence(results), "divergence", title, caption, directory)
 
 
-def plot_overview(rows: list[Row]) -> Figure:
+def plot_overview(rows: pd.DataFrame) -> Figure:
     """ITAE and ISV of every row, the paper's and ours."""
     cases = [(kind, name) for kind in DISTURBANCES for name in ("", *CONTROLLERS)]
     charts = [_overview(rows, metric, cases) for metric in METRICS]
@@ -167,18 +168,14 @@ def plot_overview(rows: list[Row]) -> Figure:
     )  # fmt: skip
 
 
-def _overview(rows: list[Row], metric: str, cases: list[tuple[str, str]]) -> Chart:
+def _overview(rows: pd.DataFrame, metric: str, cases: list[tuple[str, str]]) -> Chart:
     """A metric of every case (disturbance, controller) in its row, below the disturbance's name."""
-    cells = {(row.setting, row.disturbance, row.controller): getattr(row, metric) for row in rows}
+    found = rows.set_index("setting")
     places = np.array([k for k, (_, name) in enumerate(cases) if name], dtype=float)
-    of = [case for case in cases if case[1]]
-    printed = np.array([cells["euler", *case].paper for case in of], dtype=float)
-    means = {
-        setting: np.array([cells[setting, *case].mean for case in of], dtype=float)
-        for setting in _MARKS
-    }
+    printed = found.loc["euler", f"{metric}_paper"].to_numpy()
+    means = {setting: found.loc[setting, f"{metric}_mean"].to_numpy() for setting in _MARKS}
     every = np.array([printed, *means.values()])
-    gaps = np.full(len(of), np.nan)
+    gaps = np.full(places.size, np.nan)
     spans = np.stack([np.nanmin(every, axis=0), np.nanmax(every, axis=0), gaps], axis=1)
     look: dict[str, Any] = {"line": False, "size": 9.0}
     return Chart(

@@ -3,10 +3,13 @@
 The figures belong to the setting ``euler``, the known part of the paper's simulation.
 """
 
+import numpy as np
+import pandas as pd  # type: ignore[import-untyped]
+
 from ffsm_drake.common.numbers import rounded_up
 from ffsm_drake.plugins.paper import paper
 from ffsm_drake.plugins.paper.runs import CONTROLLERS, DISTURBANCES, STUDY
-from ffsm_drake.plugins.paper.table import METRICS, Cell, Row
+from ffsm_drake.plugins.paper.table import METRICS
 from ffsm_drake.plugins.paper.wording import (
     DISTURBANCE_NAMES,
     NAMES,
@@ -24,9 +27,9 @@ CHOICES: list[list[str]] = [
 CHOICES_HEADER = ["left open by the paper", "chosen here", "was ISV used to choose it?"]
 
 
-def outcome(rows: list[Row]) -> dict[str, list[str]]:
+def outcome(rows: pd.DataFrame) -> dict[str, list[str]]:
     """Sentences on the ``reproduced`` and ``not reproduced`` figures of a table's rows."""
-    shown = [row for row in rows if row.setting == "euler"]
+    shown = rows[rows["setting"] == "euler"]
     found: dict[str, list[str]] = {"reproduced": [], "not reproduced": []}
     for metric in METRICS:
         _add(found, *_values(metric, shown))
@@ -35,7 +38,7 @@ def outcome(rows: list[Row]) -> dict[str, list[str]]:
     return found
 
 
-def outcome_text(rows: list[Row]) -> str:
+def outcome_text(rows: pd.DataFrame) -> str:
     """The outcome and the choices, as plain text."""
     lines = list[str]()
     for kind, sentences in outcome(rows).items():
@@ -49,14 +52,10 @@ def _add(found: dict[str, list[str]], holds: bool, sentence: str) -> None:
     found["reproduced" if holds else "not reproduced"].append(sentence)
 
 
-def _cells(metric: str, rows: list[Row]) -> list[Cell]:
-    return [getattr(row, metric) for row in rows]
-
-
-def _values(metric: str, rows: list[Row]) -> tuple[bool, str]:
+def _values(metric: str, rows: pd.DataFrame) -> tuple[bool, str]:
     """Whether the values are the paper's, and how far they are from them."""
-    ratios = [cell.ratio for cell in _cells(metric, rows)]
-    off = max(abs(ratio - 1.0) for ratio in ratios)
+    ratios = rows[f"{metric}_ratio"]
+    off = (ratios - 1.0).abs().max(skipna=False)
     if off <= paper.REPRODUCED:  # false for NaN, where a run diverged
         return (
             True,
@@ -65,43 +64,30 @@ def _values(metric: str, rows: list[Row]) -> tuple[bool, str]:
     return False, f"{METRICS[metric]}: the values are {span(ratios, 2)} times the paper's."
 
 
-def _ranking(metric: str, rows: list[Row]) -> tuple[bool, str]:
+def _ranking(metric: str, rows: pd.DataFrame) -> tuple[bool, str]:
     """Whether the order of the controllers is the paper's, and who changes places where."""
-    moved = {
-        disturbance: [
-            NAMES[row.controller]
-            for row in rows
-            if row.disturbance == disturbance
-            and getattr(row, metric).rank != getattr(row, metric).paper_rank
-        ]
-        for disturbance in DISTURBANCES
-    }
+    ours, printed = rows[f"{metric}_rank"], rows[f"{metric}_paper_rank"]
+    moved = rows[ours != printed].groupby("disturbance", sort=False)["controller"]
     label = METRICS[metric]
-    if not any(moved.values()):
-        return True, (
-            f"{label}: the ranking of the {len(CONTROLLERS)} controllers, under all "
-            f"{len(moved)} disturbances."
-        )
+    everywhere = f"all {len(DISTURBANCES)} disturbances"
+    if not moved.ngroups:
+        many = f"the {len(CONTROLLERS)} controllers"
+        return True, f"{label}: the ranking of {many}, under {everywhere}."
     alike: dict[str, list[str]] = {}
-    for disturbance, names in moved.items():
-        if names:
-            alike.setdefault(listed(names), []).append(DISTURBANCE_NAMES[disturbance])
+    for disturbance, names in moved:
+        alike.setdefault(listed(names.map(NAMES)), []).append(DISTURBANCE_NAMES[disturbance])
     parts = [
         f"{names} change places under "
-        + (f"all {len(moved)} disturbances" if len(places) == len(moved) else listed(places))
+        + (everywhere if len(places) == len(DISTURBANCES) else listed(places))
         for names, places in alike.items()
     ]
     return False, f"{label}: the ranking; {'; '.join(parts)}."
 
 
-def beyond_tdc(rows: list[Row], figure: str) -> dict[str, list[float]]:
+def beyond_tdc(rows: pd.DataFrame, figure: str) -> dict[str, list[float]]:
     """ISV minus that of TDC, by controller, under each disturbance; ``figure``: mean or paper."""
-    isv = {(row.disturbance, row.controller): getattr(row.isv, figure) for row in rows}
-    return {
-        name: [isv[place, name] - isv[place, "tdc"] for place in DISTURBANCES]
-        for name in CONTROLLERS
-        if name != "tdc"
-    }
+    isv = rows.pivot(index="disturbance", columns="controller", values=f"isv_{figure}")
+    return {name: list(isv[name] - isv["tdc"]) for name in CONTROLLERS if name != "tdc"}
 
 
 def differences_text(by_controller: dict[str, list[float]]) -> str:
@@ -113,13 +99,12 @@ def _signed(values: list[float]) -> str:
     return between(values, "{:+.1f}".format)
 
 
-def _differences(rows: list[Row]) -> tuple[bool, str]:
+def _differences(rows: pd.DataFrame) -> tuple[bool, str]:
     """Whether the efforts beyond TDC's are the paper's, by controller."""
     ours, printed = (beyond_tdc(rows, figure) for figure in ("mean", "paper"))
     holds = all(
-        abs(value - wanted) <= paper.REPRODUCED * abs(wanted)
+        np.allclose(values, printed[name], rtol=paper.REPRODUCED, atol=0.0)
         for name, values in ours.items()
-        for value, wanted in zip(values, printed[name], strict=True)
     )
     texts = {
         name: f"{_signed(values)} (paper: {_signed(printed[name])})"

@@ -8,6 +8,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import pandas as pd  # type: ignore[import-untyped]
+
 from ffsm_drake.common.files import write_text
 from ffsm_drake.plugins.paper import paper
 from ffsm_drake.plugins.paper.claims import by_topic, counts
@@ -16,7 +18,7 @@ from ffsm_drake.plugins.paper.minor_steps import minor_step_table
 from ffsm_drake.plugins.paper.outcome import CHOICES, CHOICES_HEADER, outcome
 from ffsm_drake.plugins.paper.robustness import nominal_payload_table
 from ffsm_drake.plugins.paper.runs import PROPOSED, SETTINGS, Case, Results
-from ffsm_drake.plugins.paper.table import HEADER, Row, markdown_rows, table_csv, table_notes
+from ffsm_drake.plugins.paper.table import HEADER, markdown_rows, table_csv, table_notes
 from ffsm_drake.plugins.paper.verdict import Kind, Verdict
 from ffsm_drake.plugins.paper.wording import listed, span, times_span
 from ffsm_drake.runs.record import software_versions
@@ -36,7 +38,7 @@ _MINOR_STEPS = (
 _PIXELS = ("fig4", "fig5")  # embedded as PNG; the other figures are small as vectors
 
 
-def write_table(rows: list[Row], results: Results, directory: Path) -> Path:
+def write_table(rows: pd.DataFrame, results: Results, directory: Path) -> Path:
     """Write table2.csv, table2.md and table2.html; returns the last."""
     write_text(directory / "table2.csv", table_csv(rows))
     content = _content("Table 2, the paper's and ours", rows, results)
@@ -45,7 +47,7 @@ def write_table(rows: list[Row], results: Results, directory: Path) -> Path:
 
 def write_page(
     results: Results,
-    rows: list[Row],
+    rows: pd.DataFrame,
     figures: Sequence[FigureFile],
     verdicts: list[Verdict],
     directory: Path,
@@ -63,7 +65,7 @@ def _write(path: Path, content: dict[str, Any]) -> Path:
     return path
 
 
-def summary(results: Results, rows: list[Row]) -> list[str]:
+def summary(results: Results, rows: pd.DataFrame) -> list[str]:
     """The outcome in a few sentences, with numbers from the runs."""
     total = len(results.comparisons)
     first = {
@@ -71,10 +73,9 @@ def summary(results: Results, rows: list[Row]) -> list[str]:
         for setting in SETTINGS
     }
     isv, itae = (
-        [getattr(row, metric).ratio for row in rows if row.setting == "euler"]
-        for metric in ("isv", "itae")
+        rows.loc[rows["setting"] == "euler", f"{metric}_ratio"] for metric in ("isv", "itae")
     )
-    diverged = results.divergence_times("exact", PROPOSED, variant="")
+    diverged = results.divergence_times("exact", PROPOSED)
     when = f", after {span(diverged, 2)} s" if diverged else ""
     return [
         f"With explicit Euler at the control period, our effort (ISV) is {times_span(isv)} times "
@@ -133,16 +134,16 @@ def runs_made(results: Results) -> list[str]:
 
 def _content(
     title: str,
-    rows: list[Row],
+    rows: pd.DataFrame,
     results: Results,
     figures: Sequence[FigureFile] = (),
     verdicts: Sequence[Verdict] = (),
 ) -> dict[str, Any]:
     """The variables of both templates."""
-    by_setting = {setting: [row for row in rows if row.setting == setting] for setting in SETTINGS}
+    by_setting = {setting: rows[rows["setting"] == setting] for setting in SETTINGS}
     return {
         "title": title,
-        "rows": by_setting,
+        "rows": {setting: found.to_dict("records") for setting, found in by_setting.items()},
         "header": HEADER,
         "cells": {setting: markdown_rows(found) for setting, found in by_setting.items()},
         "settings": SETTINGS,

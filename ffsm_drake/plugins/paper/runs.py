@@ -118,17 +118,30 @@ class Results:
         case = Case(setting=setting, controller=controller, seed=seed, variant=variant)
         return self.runs[case.canonical]
 
-    def runs_of(
-        self, setting: str, controller: str, *, variant: str = "", disturbance: str | None = None
-    ) -> dict[tuple[str, int], Run]:
-        """A controller's runs, optionally with one disturbance, by (disturbance, seed)."""
-        one = Case(setting=setting, controller=controller, variant=variant).canonical
-        return {
-            (case.disturbance, case.seed): run
+    def runs_of(self, setting: str, side: Side) -> pd.DataFrame:
+        """A controller's runs, by disturbance and seed.
+
+        The columns are ``run``, ``itae`` and ``isv`` as in ``Run``, and ``diverged``, the time of
+        divergence, s; NaN if the run completed.
+        """
+        name, variant = (side, "") if isinstance(side, str) else side
+        one = Case(setting=setting, controller=name, variant=variant).canonical
+        return self._sides.get_group((one.setting, name, variant))
+
+    @functools.cached_property
+    def _sides(self) -> Any:
+        rows = [
+            {
+                **vars(case),
+                "run": run,
+                "itae": run.itae,
+                "isv": run.isv,
+                "diverged": math.nan if run.outcome.completed else run.outcome.time,
+            }
             for case, run in self.runs.items()
-            if (case.setting, case.controller, case.variant) == (one.setting, controller, variant)
-            and disturbance in (None, case.disturbance)
-        }
+        ]
+        table = pd.DataFrame(rows).set_index(["disturbance", "seed"])
+        return table.groupby(["setting", "controller", "variant"])
 
     def record(self, setting: str, controller: str, *, variant: str = "") -> RunRecord:
         """The full record of a case that ``keeps_record``."""
@@ -140,19 +153,10 @@ class Results:
         """All (disturbance, seed) of the table."""
         return list(product(DISTURBANCES, range(self.num_seeds)))
 
-    def values(self, metric: str, setting: str, side: Side) -> pd.Series:
-        """A metric of a controller's runs, by disturbance and seed."""
-        name, variant = (side, "") if isinstance(side, str) else side
-        runs = self.runs_of(setting, name, variant=variant)
-        return pd.Series({case: getattr(run, metric) for case, run in runs.items()})
-
-    def by_controller(self, metric: str, setting: str) -> pd.DataFrame:
-        """A metric of Table 2: a column for each controller, by disturbance and seed."""
-        return pd.DataFrame({name: self.values(metric, setting, name) for name in CONTROLLERS})
-
     def rankings(self, metric: str, setting: str) -> list[list[str]]:
         """The controllers of every comparison, from the smallest value to the largest."""
-        order = np.argsort(self.by_controller(metric, setting).to_numpy(), axis=1, kind="stable")
+        values = [self.runs_of(setting, name)[metric] for name in CONTROLLERS]
+        order = np.argsort(values, axis=0, kind="stable").T
         return np.array(CONTROLLERS)[order].tolist()
 
     def ratios(self, metric: str, setting: str, over: Side, under: Side) -> list[float]:
@@ -160,14 +164,13 @@ class Results:
 
         Infinite where the first diverged, NaN where the second did.
         """
-        first, second = (self.values(metric, setting, side) for side in (over, under))
+        first, second = (self.runs_of(setting, side)[metric] for side in (over, under))
         first, second = first.align(second.replace(np.inf, np.nan), join="inner")
         return (first / second).tolist()
 
-    def divergence_times(self, setting: str, controller: str, **which: str) -> list[float]:
-        """Times of divergence of a controller's runs, s; ``which``: see ``runs_of``."""
-        runs = self.runs_of(setting, controller, **which).values()
-        return [run.outcome.time for run in runs if not run.outcome.completed]
+    def divergence_times(self, setting: str, side: Side) -> list[float]:
+        """Times of divergence of a controller's runs, s."""
+        return self.runs_of(setting, side)["diverged"].dropna().tolist()
 
     @functools.cached_property
     def _records(self) -> dict[Case, RunRecord]:

@@ -37,7 +37,7 @@ def without_g_it_is_aismc(results: Results) -> Evaluated:
         times_span(results.ratios("itae", setting, (PROPOSED, "G = 0"), "aismc"))
         for setting in ("euler", "exact")
     )
-    ended = results.divergence_times("exact", PROPOSED, variant="G = 0")
+    ended = results.divergence_times("exact", (PROPOSED, "G = 0"))
     fate = (
         f"it does not stay with AISMC, diverging at {span(ended, 2)} s"
         if ended

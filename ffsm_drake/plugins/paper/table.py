@@ -1,7 +1,6 @@
 # ruff: noqa: RUF001 (the texts use mathematical signs)
 """Table 2: ours beside the paper's."""
 
-import dataclasses
 import math
 from itertools import product
 
@@ -16,81 +15,58 @@ from ffsm_drake.plugins.paper.wording import DISTURBANCE_NAMES, NAMES, scientifi
 METRICS = {"itae": "ITAE", "isv": "ISV"}
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Cell:
-    """A metric of a controller under a disturbance.
+_CASE = ["setting", "disturbance", "controller"]
 
-    Mean, spread and ratio are NaN if runs diverged.
+
+def make_table(results: Results) -> pd.DataFrame:
+    """A row for each controller under each disturbance in each setting.
+
+    The columns are ``setting``, ``disturbance``, ``controller``, ``runs``, ``diverged_runs``,
+    ``diverged`` (such as "diverged at 5.2 to 5.4 s", or empty), and of each of METRICS, such as
+    ``itae_mean``:
+      mean: mean over the seeds; NaN if runs diverged.
+      spread: sample standard deviation over the seeds; NaN for a single one.
+      paper: the paper's value.
+      ratio: mean / paper.
+      rank, paper_rank: among the four controllers, 1 the smallest; diverged ones last.
+      paper_correction: reason to correct the paper's value, or empty.
     """
-
-    mean: float  # over the seeds
-    spread: float  # sample standard deviation over the seeds; NaN for a single one
-    paper: float
-    ratio: float  # mean / paper
-    rank: int  # among the four controllers, 1 the smallest; diverged ones last
-    paper_rank: int
-    correction: str  # reason to correct the paper's value, or empty
-
-
-@dataclasses.dataclass(frozen=True)
-class Row:
-    """One controller under one disturbance in one setting."""
-
-    setting: str
-    disturbance: str
-    controller: str
-    runs: int
-    diverged_runs: int
-    diverged: str  # such as "diverged at 5.2 to 5.4 s", or empty
-    itae: Cell
-    isv: Cell
-
-
-def make_table(results: Results) -> list[Row]:
-    """All rows: by setting, disturbance, controller."""
-    rows = []
-    for setting, disturbance in product(SETTINGS, DISTURBANCES):
-        itae, isv = (_cells(results, metric, setting, disturbance) for metric in METRICS)
-        for name in CONTROLLERS:
-            runs = results.runs_of(setting, name, disturbance=disturbance).values()
-            ended = [run for run in runs if not run.outcome.completed]
-            text = ""
-            if ended:
-                times_ended = span((run.outcome.time for run in ended), 2)
-                text = f"{ended[0].outcome.status} at {times_ended} s"
-                if len(ended) < len(runs):
-                    text += f" ({len(ended)} of {len(runs)} runs)"
-            counts = len(runs), len(ended)
-            rows.append(Row(setting, disturbance, name, *counts, text, itae[name], isv[name]))
-    return rows
+    runs = pd.concat(
+        {
+            (setting, disturbance, name): results.runs_of(setting, name).loc[disturbance]
+            for setting, disturbance, name in product(SETTINGS, DISTURBANCES, CONTROLLERS)
+        },
+        names=_CASE,
+    )
+    cases = runs.groupby(level=_CASE, sort=False)
+    table = cases["diverged"].agg(runs="size", diverged_runs="count", diverged=_ended)
+    for metric in METRICS:
+        figures = cases[metric].agg(["mean", "std"]).set_axis(["mean", "spread"], axis=1)
+        figures["paper"] = [paper.TABLE_2[metric][place][name] for _, place, name in table.index]
+        ranks = figures[["mean", "paper"]].groupby(level=_CASE[:2]).rank(method="min").astype(int)
+        figures["mean"] = figures["mean"].replace(np.inf, np.nan)
+        figures["ratio"] = figures["mean"] / figures["paper"]
+        figures[["rank", "paper_rank"]] = ranks
+        table = table.join(figures.add_prefix(f"{metric}_"))
+    for metric in METRICS:
+        table[f"{metric}_paper_correction"] = [
+            paper.CORRECTIONS.get((metric, *case[1:]), "") for case in table.index
+        ]
+    return table.reset_index()
 
 
-def _cells(results: Results, metric: str, setting: str, disturbance: str) -> dict[str, Cell]:
-    values = results.by_controller(metric, setting).loc[disturbance]
-    with np.errstate(invalid="ignore"):
-        figures = pd.DataFrame({"mean": values.mean(), "spread": values.std()})
-    figures["paper"] = pd.Series(paper.TABLE_2[metric][disturbance])
-    ranks = figures[["mean", "paper"]].rank(method="min").astype(int)
-    figures["mean"] = figures["mean"].replace(np.inf, np.nan)
-    figures["ratio"] = figures["mean"] / figures["paper"]
-    return {
-        name: Cell(
-            **figures.loc[name],
-            rank=ranks["mean"][name],
-            paper_rank=ranks["paper"][name],
-            correction=paper.CORRECTIONS.get((metric, disturbance, name), ""),
-        )
-        for name in CONTROLLERS
-    }
+def _ended(times: pd.Series) -> str:
+    """Times of divergence of runs, s, in words."""
+    ended = times.dropna()
+    if ended.empty:
+        return ""
+    some = f" ({ended.size} of {times.size} runs)" if ended.size < times.size else ""
+    return f"diverged at {span(ended, 2)} s{some}"
 
 
-def table_csv(rows: list[Row]) -> str:
+def table_csv(rows: pd.DataFrame) -> str:
     """The table as comma-separated values, eight digits; empty if runs diverged."""
-    frame = pd.json_normalize([dataclasses.asdict(row) for row in rows], sep="_")
-    corrections = [f"{metric}_correction" for metric in METRICS]
-    frame = frame[[*frame.columns.drop(corrections), *corrections]]
-    frame = frame.rename(columns={name: name.replace("_", "_paper_") for name in corrections})
-    text: str = frame.to_csv(index=False, float_format="%.8g", lineterminator="\n")
+    text: str = rows.to_csv(index=False, float_format="%.8g", lineterminator="\n")
     return text
 
 
@@ -99,36 +75,34 @@ def shown(metric: str, value: float) -> str:
     return scientific(value, 4) if metric == "itae" else f"{value:.1f}"
 
 
-def shown_ours(metric: str, cell: Cell) -> str:
+def shown_ours(metric: str, mean: float, spread: float) -> str:
     """Mean over the seeds and, for several, the spread with the mean's exponent."""
-    if math.isnan(cell.spread):
-        return f"{cell.mean:.2f}" if metric == "isv" else scientific(cell.mean, 4)
+    if math.isnan(spread):
+        return f"{mean:.2f}" if metric == "isv" else scientific(mean, 4)
     if metric == "isv":
-        return f"{cell.mean:.2f} ± {cell.spread:.2f}"
-    mantissa, exponent = f"{cell.mean:.3e}".split("e")
-    return f"({mantissa} ± {cell.spread / 10.0 ** int(exponent):.3f}){power_of_ten(int(exponent))}"
+        return f"{mean:.2f} ± {spread:.2f}"
+    mantissa, exponent = f"{mean:.3e}".split("e")
+    return f"({mantissa} ± {spread / 10.0 ** int(exponent):.3f}){power_of_ten(int(exponent))}"
 
 
-def shown_ratio(cell: Cell) -> str:
-    return "–" if math.isnan(cell.ratio) else times(cell.ratio)
+def shown_ratio(ratio: float) -> str:
+    return "–" if math.isnan(ratio) else times(ratio)
 
 
-def markdown_rows(rows: list[Row]) -> list[list[str]]:
+def markdown_rows(rows: pd.DataFrame) -> list[list[str]]:
     """Cell texts of one setting's table."""
     lines = []
-    for row in rows:
-        line = [DISTURBANCE_NAMES[row.disturbance], NAMES[row.controller]]
+    for row in rows.to_dict("records"):
+        line = [DISTURBANCE_NAMES[row["disturbance"]], NAMES[row["controller"]]]
         for metric in METRICS:
-            cell: Cell = getattr(row, metric)
-            mark = " †" if cell.correction else ""
+            mark = " †" if row[f"{metric}_paper_correction"] else ""
             # The time is given once.
-            ended = row.diverged and (row.diverged if metric == "itae" else "diverged")
-            ours = ended or shown_ours(metric, cell)
+            ended = row["diverged"] and (row["diverged"] if metric == "itae" else "diverged")
             line += [
-                shown(metric, cell.paper) + mark,
-                ours,
-                shown_ratio(cell),
-                f"{cell.rank} ({cell.paper_rank})",
+                shown(metric, row[f"{metric}_paper"]) + mark,
+                ended or shown_ours(metric, row[f"{metric}_mean"], row[f"{metric}_spread"]),
+                shown_ratio(row[f"{metric}_ratio"]),
+                f"{row[f'{metric}_rank']} ({row[f'{metric}_paper_rank']})",
             ]
         lines.append(line)
     return lines

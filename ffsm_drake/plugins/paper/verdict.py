@@ -10,8 +10,10 @@ import dataclasses
 from collections.abc import Callable
 from typing import Generic, Literal, TypeVar
 
+import pandas as pd  # type: ignore[import-untyped]
+
 from ffsm_drake.plugins.paper.runs import Results, Side
-from ffsm_drake.plugins.paper.table import Row, make_table
+from ffsm_drake.plugins.paper.table import make_table
 
 Kind = Literal["holds", "holds only", "does not hold", "not reproduced", "not tested"]
 Topic = Literal[
@@ -110,5 +112,6 @@ def ratios_in_both(results: Results, metric: str, over: Side, under: Side) -> Bo
     return both(lambda setting: results.ratios(metric, setting, over, under))
 
 
-def table_rows(results: Results, setting: str) -> list[Row]:
-    return [row for row in make_table(results) if row.setting == setting]
+def table_rows(results: Results, setting: str) -> pd.DataFrame:
+    rows = make_table(results)
+    return rows[rows["setting"] == setting]
