@@ -106,7 +106,7 @@ class Pilot:
             return last if request.sample == last.sample else None
         if holds != flight.holds:
             law, is_first = self._controllers[flight.holds].law, True
-            memory = controller.law.resume(memory, law, inputs["desired_state"])
+            memory = controller.resumed(memory, law, inputs["desired_state"])
         with np.errstate(all="ignore"):
             force, memory = controller.step(
                 inputs, memory, is_first=is_first, time=lambda: request.time

@@ -20,6 +20,7 @@ from ffsm_drake import BlockError, FfsmError, load_scenario, simulate
 from ffsm_drake.plugins.udp.external import FAULTS, External
 from ffsm_drake.plugins.udp.fly import Pilot, main
 from ffsm_drake.plugins.udp.packets import HAS_NEW, HOLDS, Packet, inputs_of, read
+from ffsm_drake.systems.controllers import ControlLaw
 
 EXTERNAL = "controller=ffsm_drake.plugins.udp.external:External"
 LENGTH = "duration=0.6"
@@ -76,6 +77,35 @@ def test_a_request_that_comes_again_makes_no_step():
     assert np.array_equal(again.reply(second).values, after.values)
     with pytest.raises(ValueError, match="the mission has no capture"):
         again.reply(dataclasses.replace(request(2), flags=0))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Sized(ControlLaw):
+    """Its memory has another size with the target."""
+
+    size: int
+
+    @classmethod
+    def from_setup(cls, setup):
+        return cls(size=1 + setup.grip.holds)
+
+    def initial_state(self):
+        return {"kept": np.zeros(self.size), "count": np.zeros(1)}
+
+    def step(self, sample, state):
+        after = {"kept": np.ones(self.size), "count": state["count"] + 1.0}
+        return np.full(11, 10.0 * state["kept"].sum()) + state["count"], after
+
+
+def test_memory_of_another_size_begins_anew_with_the_target():
+    flying = Pilot(load_scenario("tumbling_capture", [f"controller={__name__}:Sized"]))
+    state = np.concatenate([[1.0], np.zeros(22)])
+    values = np.concatenate([state, state, np.zeros(22)])
+    forces = [
+        flying.reply(Packet(run=1, sample=k, time=0.01 * k, flags=flags, values=values)).values[0]
+        for k, flags in enumerate((0, 0, HOLDS, HOLDS))
+    ]
+    assert forces == [0.0, 11.0, 2.0, 23.0]
 
 
 CLOSING = ("capture.closing={joints: controlled}", "duration=9.5")
