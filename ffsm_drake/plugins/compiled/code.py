@@ -10,7 +10,7 @@ bits are those of every processor.
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from ffsm_drake.plugins.compiled.angles import sine_and_cosine
+from ffsm_drake.plugins.compiled.angles import without_angles
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.tape.numbers import TRUTHS, Loop, Operation, Symbol, Tape, needed
 
@@ -53,6 +53,7 @@ def of_lanes(
       inputs: the length n of the rows of each input array.
       results: symbols and numbers, a row of each array of results.
     """
+    tape, results = without_angles(tape, results)
     places: dict[int, list[tuple[str, int]]] = {}
     body = list[str]()
     for array, row in results.items():
@@ -179,7 +180,6 @@ class _Part:
         self._operations, self._slots, self._places, self._name = operations, slots, places, name
         self._registers, self._part = registers, part
         self._here = set[int]()  # values in registers
-        self._turns = set[int]()  # angles with sine and cosine
 
     def lines(self) -> Iterator[str]:
         for index in self._part:
@@ -216,12 +216,6 @@ class _Part:
             yield from self._from_library(name, kind, list(map(self._operand, operands)))
         elif kind == "negate":
             yield f"  {name} = fneg {reals} %t{operands[0]}"
-        elif kind in ("sine", "cosine"):
-            angle = int(operands[0])
-            if angle not in self._turns:
-                self._turns.add(angle)
-                yield from sine_and_cosine(self._registers, f"%t{angle}", f"%a{angle}")
-            yield f"  {name} = bitcast {self._registers.wholes} %a{angle}.{kind} to {reals}"
         elif kind in _CALLS:
             given = ", ".join(f"{reals} {self._operand(each)}" for each in operands)
             called = f"@llvm.{_CALLS[kind][0]}.v{self._registers.width}f64"

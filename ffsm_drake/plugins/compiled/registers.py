@@ -27,11 +27,5 @@ class Registers:
 
     def real(self, value: float) -> str:
         """A number in every lane."""
-        return self._filled(f"double 0x{struct.pack('>d', value).hex().upper()}")
-
-    def whole(self, value: int) -> str:
-        """A whole number in every lane."""
-        return self._filled(f"i64 {value}")
-
-    def _filled(self, one: str) -> str:
+        one = f"double 0x{struct.pack('>d', value).hex().upper()}"
         return f"<{', '.join([one] * self.width)}>"
