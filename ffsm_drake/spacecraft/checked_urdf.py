@@ -24,47 +24,66 @@ MAX_SHAPES = 5_000
 MOST_FAR = 1e4  # m, rad, deg
 _MAX_NAME = 200  # characters
 # strtod's decimal numbers, as Drake reads them; Python's float reads more
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|infinity)", re.ASCII)
+_NUMBER = re.compile(r"[-+]?((\d+\.?\d*|\.\d+)(e[-+]?\d+)?|inf|infinity)", re.ASCII | re.I)
 _DECLARED = re.compile(r"""\ufeff?\s*<\?xml\s[^>]*?\bencoding\s*=\s*(["'])(.*?)\1""", re.DOTALL)
 _NAMED = ("link", "joint", "frame", f"{DRAKE}joint")
 
 
 @dataclasses.dataclass(frozen=True)
-class _Numbers:
-    """Allowed values of an attribute."""
+class Numbers:
+    """Allowed numbers in a text."""
 
-    most: float  # largest size; infinite if infinity is allowed
+    most: float = 1e308  # largest size; infinite if infinity is allowed
     least: float = 0.0  # least size of nonzero values
     unit: str = ""
     count: tuple[int, ...] = (1,)
     positive: bool = False
 
+    def problems(self, text: str) -> Iterator[str]:
+        """What is wrong with a text, such as "must be a number, not 'a'"."""
+        parts, shown = text.split(), f"not '{text[:60]}'"
+        if len(parts) not in self.count or not all(map(_NUMBER.fullmatch, parts)):
+            many = " or ".join(str(count) for count in self.count if count)
+            yield f"must be {'a number' if self.count == (1,) else f'{many} numbers'}, {shown}"
+            return
+        for value in map(float, parts):
+            size, unit = abs(value), f" {self.unit}" * bool(self.unit)
+            if self.positive and value <= 0.0:
+                yield f"must be > 0{unit}, {shown}"
+            elif not math.isfinite(value) and self.most < math.inf:
+                yield f"must be finite, {shown}"
+            elif size > self.most or 0.0 < size < self.least:
+                bounds = f"at most {self.most:g}" + (
+                    f" and at least {self.least:g}" if self.least else ""
+                )
+                yield f"must be {bounds}{unit} in size, {shown}"
 
-_LENGTH = _Numbers(MOST_FAR, unit="m")
-_SIDE = _Numbers(MOST_FAR, least=1e-6, unit="m", positive=True)
-_ANGLES = _Numbers(1e3, unit="rad", count=(3,))
+
+_LENGTH = Numbers(MOST_FAR, unit="m")
+_SIDE = Numbers(MOST_FAR, least=1e-6, unit="m", positive=True)
+_ANGLES = Numbers(1e3, unit="rad", count=(3,))
 _PLACE = dataclasses.replace(_LENGTH, count=(3,))
-_MOMENT = _Numbers(1e15, unit="kg m^2")
-_FACTOR = _Numbers(1e9)
+_MOMENT = Numbers(1e15, unit="kg m^2")
+_FACTOR = Numbers(1e9)
 
 _CHECKED = {
     "origin": {"xyz": _PLACE, "rpy": _ANGLES},
     "frame": {"xyz": _PLACE, "rpy": _ANGLES},
-    "axis": {"xyz": _Numbers(1e6, count=(3,))},
-    "mass": {"value": _Numbers(1e9, least=1e-9, unit="kg")},
+    "axis": {"xyz": Numbers(1e6, count=(3,))},
+    "mass": {"value": Numbers(1e9, least=1e-9, unit="kg")},
     "inertia": dict.fromkeys(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), _MOMENT),
     "box": {"size": dataclasses.replace(_SIDE, count=(3,))},
     "sphere": {"radius": _SIDE},
     "cylinder": {"radius": _SIDE, "length": _SIDE},
     "capsule": {"radius": _SIDE, "length": _SIDE},
     "ellipsoid": {"a": _SIDE, "b": _SIDE, "c": _SIDE},
-    "mesh": {"scale": _Numbers(1e6, least=1e-9, count=(1, 3))},
-    "color": {"rgba": _Numbers(1e3, count=(4,))},
+    "mesh": {"scale": Numbers(1e6, least=1e-9, count=(1, 3))},
+    "color": {"rgba": Numbers(1e3, count=(4,))},
     "limit": dict.fromkeys(
-        ("lower", "upper", "effort", "velocity", f"{DRAKE}acceleration"), _Numbers(math.inf)
+        ("lower", "upper", "effort", "velocity", f"{DRAKE}acceleration"), Numbers(math.inf)
     ),
     "dynamics": {"damping": _FACTOR, "friction": _FACTOR},
-    "rotor_inertia": {"value": _Numbers(1e9, unit="kg m^2")},
+    "rotor_inertia": {"value": Numbers(1e9, unit="kg m^2")},
     "gear_ratio": {"value": _FACTOR},
 }
 
@@ -230,20 +249,5 @@ def _number_problems(element: Element) -> Iterator[str]:
     for attribute, allowed in _CHECKED.get(tag, {}).items():
         if (text := element.get(attribute)) is None:
             continue
-        parts, attribute = text.split(), attribute.removeprefix(DRAKE)
-        if len(parts) not in allowed.count or not all(map(_NUMBER.fullmatch, parts)):
-            count = "three numbers" if 3 in allowed.count else f"{allowed.count[0]} numbers"
-            wanted = "a number" if allowed.count == (1,) else count
-            yield f"<{tag} {attribute}> must be {wanted}, not '{text[:60]}'"
-            continue
-        for value in map(float, parts):
-            size, unit = abs(value), f" {allowed.unit}" * bool(allowed.unit)
-            if allowed.positive and value <= 0.0:
-                yield f"<{tag} {attribute}> must be > 0{unit}, not '{text[:60]}'"
-            elif not math.isfinite(value) and allowed.most < math.inf:
-                yield f"<{tag} {attribute}> must be finite, not '{text[:60]}'"
-            elif size > allowed.most or 0.0 < size < allowed.least:
-                bounds = f"at most {allowed.most:g}" + (
-                    f" and at least {allowed.least:g}" if allowed.least else ""
-                )
-                yield f"<{tag} {attribute}> must be {bounds}{unit} in size, not '{text[:60]}'"
+        shown = f"<{tag} {attribute.removeprefix(DRAKE)}>"
+        yield from (f"{shown} {problem}" for problem in allowed.problems(text))

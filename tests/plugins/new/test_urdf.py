@@ -306,7 +306,7 @@ REFUSED = {
     ),
     "bad origin": (
         replaced('origin xyz="0.0 0.0 0.5"', 'origin xyz="0"'),
-        "link 'upper': <origin xyz> must be three numbers",
+        "link 'upper': <origin xyz> must be 3 numbers",
     ),
     "lost frame": (
         plus('<frame name="eye" link="head" xyz="0 0 0" rpy="0 0 0"/>'),

@@ -41,7 +41,7 @@ def draw_bare_links(root: Element, *, base_links: Collection[str], radius: float
             continue
         name, has_mass = name_of(link), link.find("inertial") is not None
         start, ends = np.zeros(3), list(_held_points(root, name))
-        center = vector(link.find("inertial/origin"), "xyz", f"link '{name}'")
+        center = vector(link.find("inertial/origin"), "xyz")
         if name in base_links:
             box = _equivalent_box(link)
             if box is not None:
@@ -70,10 +70,10 @@ def _held_points(root: Element, link: str) -> Iterator[np.ndarray]:
     """The origins (3), in m, of the joints and frames that a link holds."""
     for joint in root.findall("joint"):
         if end_of(joint, "parent") == link:
-            yield vector(joint.find("origin"), "xyz", f"joint '{name_of(joint)}'")
+            yield vector(joint.find("origin"), "xyz")
     for frame in root.findall("frame"):
         if frame.get("link") == link:
-            yield vector(frame, "xyz", f"frame '{name_of(frame)}'")
+            yield vector(frame, "xyz")
 
 
 def _stroke(root: Element, link: str) -> Iterator[np.ndarray]:
@@ -81,7 +81,7 @@ def _stroke(root: Element, link: str) -> Iterator[np.ndarray]:
     for element in root.findall("joint"):
         joint = read_joint(element)
         if joint.child == link and joint.unit == "m" and joint.is_limited:
-            axis = vector(element.find("axis"), "xyz", f"joint '{joint.name}'", "1 0 0")
+            axis = vector(element.find("axis"), "xyz", "1 0 0")
             yield from (
                 -limit * axis / np.linalg.norm(axis) for limit in (joint.lower, joint.upper)
             )

@@ -87,24 +87,18 @@ def roots_of(root: Element) -> list[str]:
     return [link for link in links if link not in held and link != WORLD]
 
 
-def vector(
-    element: Element | None, attribute: str, place: str, default: str = "0 0 0"
-) -> np.ndarray:
-    """Return three numbers; the default if there is no element or no attribute."""
+def vector(element: Element | None, attribute: str, default: str = "0 0 0") -> np.ndarray:
+    """Return three numbers, which ``check`` has checked; the default if there is no element or no
+    attribute.
+    """
     text = default if element is None else element.get(attribute, default)
-    try:
-        values = np.array([float(part) for part in text.split()])
-    except ValueError:
-        values = np.array([])
-    good = values.shape == (3,) and np.isfinite(values).all()
-    require(good, f"{place}: {attribute} must be three numbers, not '{text}'")
-    return values
+    return np.array(text.split(), dtype=float)
 
 
-def origin_of(element: Element | None, place: str) -> RigidTransform:
+def origin_of(element: Element | None) -> RigidTransform:
     """Return the pose of the <origin> of a joint or an inertial; the identity without one."""
     origin = None if element is None else element.find("origin")
-    return RigidTransform(RollPitchYaw(vector(origin, "rpy", place)), vector(origin, "xyz", place))
+    return RigidTransform(RollPitchYaw(vector(origin, "rpy")), vector(origin, "xyz"))
 
 
 def package_folders(package: str, source: Path, packages: Mapping[str, Path]) -> Iterator[Path]:
@@ -145,7 +139,7 @@ def read_joint(element: Element) -> Joint:
         upper=upper,
         effort=effort,
         velocity=velocity,
-        offset=float(np.linalg.norm(vector(element.find("origin"), "xyz", f"joint '{name}'"))),
+        offset=float(np.linalg.norm(vector(element.find("origin"), "xyz"))),
     )
 
 

@@ -87,7 +87,7 @@ def mount(root: Element, bus: Bus) -> str:
     for joint in standing:  # its origin lies on the face
         for parent in joint.findall("parent"):
             parent.set("link", name)
-        set_origin(joint, face @ origin_of(joint, f"joint '{name_of(joint)}'"))
+        set_origin(joint, face @ origin_of(joint))
     if not standing:
         add_joint(root, mount_name, "fixed", (name, roots[0]), face)
     link = add_link(root, name, bus.mass, (0.0, 0.0, 0.0), np.diag(bus.inertia))

@@ -360,7 +360,7 @@ class _Tree:
             for j in chain
             if j.kind == "prismatic" and math.isfinite(j.upper)
         )
-        reach += float(np.linalg.norm(vector(self.frames.get(frame), "xyz", f"frame '{frame}'")))
+        reach += float(np.linalg.norm(vector(self.frames.get(frame), "xyz")))
         return Tip(frame=frame, joints=joints, reach=reach)
 
     def _frames_on(self, links: Collection[str]) -> list[str]:

@@ -77,10 +77,9 @@ def free_base(root: Element) -> np.ndarray | None:
 def _normal(chain: list[Element], kinds: list[str]) -> np.ndarray:
     """The axis (3) of the turn of a planar base, or of its planar joint, in the base's axes."""
     at = next(k for k, kind in enumerate(kinds) if kind in ("turn", "planar"))
-    place = f"joint '{name_of(chain[at])}'"
-    axis = vector(chain[at].find("axis"), "xyz", place, "1 0 0" if kinds[at] == "turn" else "0 0 1")
+    axis = vector(chain[at].find("axis"), "xyz", "1 0 0" if kinds[at] == "turn" else "0 0 1")
     for joint in chain[at + 1 :]:
-        axis = origin_of(joint, f"joint '{name_of(joint)}'").rotation().matrix().T @ axis
+        axis = origin_of(joint).rotation().matrix().T @ axis
     normal: np.ndarray = axis / max(float(np.linalg.norm(axis)), 1e-12)
     return normal
 
@@ -117,9 +116,9 @@ def fix_followers(root: Element) -> dict[str, str]:
         require(leader in joints, f"{place}: follows '{leader}', which does not exist")
         value = number(mimic, "multiplier", place, "1") * read_joint(joints[leader]).rest
         value += number(mimic, "offset", place, "0")
-        axis = vector(joint.find("axis"), "xyz", place, "1 0 0")
+        axis = vector(joint.find("axis"), "xyz", "1 0 0")
         axis /= max(float(np.linalg.norm(axis)), 1e-12)
-        pose = origin_of(joint, place) @ (
+        pose = origin_of(joint) @ (
             RigidTransform(value * axis)
             if joint.get("type") == "prismatic"
             else RigidTransform(AngleAxis(value, axis), np.zeros(3))

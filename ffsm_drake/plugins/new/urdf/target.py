@@ -6,12 +6,12 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
-from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.math import RigidTransform
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.design.rounding import rounded
-from ffsm_drake.plugins.new.urdf.elements import end_of, listed, name_of, vector
+from ffsm_drake.plugins.new.urdf.elements import end_of, listed, name_of, origin_of
 from ffsm_drake.plugins.new.urdf.formats import read_model
 from ffsm_drake.plugins.new.urdf.formats.building import add_frame, add_link, add_visual, text
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
@@ -146,7 +146,7 @@ def _gathered(root: Element, body: str) -> tuple[np.ndarray, np.ndarray]:
             continue
         pose = _pose_of(body, joints).inverse() @ _pose_of(name_of(link), joints)
         inertial = link.find("inertial")
-        place = pose @ _origin(inertial, f"link '{name_of(link)}'")
+        place = pose @ origin_of(inertial)
         turn = place.rotation().matrix()
         parts.append((mass, place.translation(), turn @ read_inertia(link) @ turn.T))
         if name_of(link) != body and inertial is not None:
@@ -169,19 +169,12 @@ def _gathered(root: Element, body: str) -> tuple[np.ndarray, np.ndarray]:
     return center, tensor
 
 
-def _origin(element: Element | None, place: str) -> RigidTransform:
-    origin = None if element is None else element.find("origin")
-    turn = RollPitchYaw(vector(origin, "rpy", place))
-    return RigidTransform(turn, vector(origin, "xyz", place))
-
-
 def _pose_of(link: str, joints: Mapping[str, Element]) -> RigidTransform:
     """Return the pose of a link in the root. ``joints``: fixed joints by child."""
     pose, seen = RigidTransform(), set[str]()
     while link in joints:
         require(link not in seen, f"link '{link}': its joints form a loop")
         seen.add(link)
-        joint = joints[link]
-        pose = _origin(joint, f"joint '{name_of(joint)}'") @ pose
-        link = end_of(joint, "parent")
+        pose = origin_of(joints[link]) @ pose
+        link = end_of(joints[link], "parent")
     return pose

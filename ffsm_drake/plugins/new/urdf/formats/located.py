@@ -9,18 +9,20 @@ from xml.parsers import expat
 
 from ffsm_drake.common.errors import ModelError, one_line
 from ffsm_drake.common.files import check_regular
-from ffsm_drake.spacecraft.checked_urdf import MOST_FAR, decoded
+from ffsm_drake.spacecraft.checked_urdf import MOST_FAR, Numbers, decoded
 
 Lines = Mapping[Element, int]
-_COUNTS = {  # element of SDFormat -> how many numbers its text holds
-    **dict.fromkeys(("mass", "ixx", "iyy", "izz", "ixy", "ixz", "iyz", "radius", "length"), (1,)),
-    **dict.fromkeys(("damping", "friction", "spring_stiffness", "spring_reference"), (1,)),
-    **dict.fromkeys(("lower", "upper", "effort", "velocity"), (1,)),
-    **dict.fromkeys(("multiplier", "offset", "reference"), (1,)),
-    **dict.fromkeys(("diffuse", "ambient", "specular", "emissive"), (3, 4)),
-    "pose": (0, 6, 7), "xyz": (3,), "scale": (3,), "size": (2, 3),
-}  # fmt: skip
-_INFINITE = ("lower", "upper", "effort", "velocity")
+_NUMBERS = {  # element of SDFormat -> the numbers that its text holds
+    **dict.fromkeys(("mass", "ixx", "iyy", "izz", "ixy", "ixz", "iyz"), Numbers()),
+    **dict.fromkeys(("radius", "length", "damping", "friction"), Numbers()),
+    **dict.fromkeys(("spring_stiffness", "spring_reference"), Numbers()),
+    **dict.fromkeys(("multiplier", "offset", "reference"), Numbers()),
+    **dict.fromkeys(("lower", "upper", "effort", "velocity"), Numbers(math.inf)),
+    **dict.fromkeys(("diffuse", "ambient", "specular", "emissive"), Numbers(count=(3, 4))),
+    **dict.fromkeys(("xyz", "scale"), Numbers(count=(3,))),
+    "pose": Numbers(MOST_FAR, unit="m, rad or deg", count=(0, 6, 7)),
+    "size": Numbers(count=(2, 3)),
+}
 
 
 def read_located(path: Path) -> tuple[Element, Lines]:
@@ -68,26 +70,10 @@ def number_faults(elements: Iterable[Element], lines: Lines) -> Iterator[str]:
     """Texts of elements of SDFormat that are not the numbers that they must be."""
     for root in elements:
         for element in root.iter():
-            counts, text = _COUNTS.get(element.tag), (element.text or "").strip()
-            if counts is None or len(element):
-                continue
-            place = f"line {lines.get(element, 0)}: <{element.tag}>"
-            values = [_number(word) for word in text.split()]
-            if len(values) not in counts or any(map(math.isnan, values)):
-                many = " or ".join(str(each) for each in counts if each)
-                count = "a number" if counts == (1,) else f"{many} numbers"
-                yield f"{place} must be {count}, not '{text[:60]}'"
-            elif element.tag not in _INFINITE and not all(map(math.isfinite, values)):
-                yield f"{place} must be finite, not '{text[:60]}'"
-            elif element.tag == "pose" and max(map(abs, values), default=0.0) > MOST_FAR:
-                yield f"{place} must be at most {MOST_FAR:g} m, rad or deg, not '{text[:60]}'"
-
-
-def _number(word: str) -> float:
-    try:
-        return math.nan if "_" in word else float(word)
-    except ValueError:
-        return math.nan
+            allowed, text = _NUMBERS.get(element.tag), (element.text or "").strip()
+            if allowed is not None and (text or not len(element)):
+                place = f"line {lines.get(element, 0)}: <{element.tag}>"
+                yield from (f"{place} {problem}" for problem in allowed.problems(text))
 
 
 def check_names(root: Element, lines: Lines, folder: Path) -> None:

@@ -33,7 +33,7 @@ from ffsm_drake.plugins.new.urdf.formats.located import (
     read_located,
 )
 from ffsm_drake.plugins.new.urdf.formats.pictures import Pictures
-from ffsm_drake.spacecraft.checked_urdf import Faults, number, require
+from ffsm_drake.spacecraft.checked_urdf import Faults, require
 from ffsm_drake.spacecraft.inertia import MOMENTS, mended_moments, read_mass
 
 # Without effect on a spacecraft in free flight; Drake reports some of them as unsupported.
@@ -64,7 +64,7 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
         added = [*tree.iter("fluid_added_mass")]
         require(not added, "has <fluid_added_mass>, which is no mass in free flight; remove it")
         for joint in tree.iter("joint"):  # one name in several models: the largest
-            friction = _value(joint.find("axis/dynamics/friction"), "friction")
+            friction = _value(joint, "axis/dynamics/friction")
             frictions[name_of(joint)] = max(friction, frictions.get(name_of(joint), 0.0))
         faults = Faults()
         _complete(tree, file.resolve().parent, faults)
@@ -125,14 +125,9 @@ def _take_mimics(element: Element, scope: str = "") -> Iterator[tuple[str, tuple
         for axis in child.findall("axis") if child.tag == "joint" else ():
             if (given := axis.find("mimic")) is not None:
                 axis.remove(given)
-                keys = ("multiplier", "offset", "reference")
-                values = {key: given.findtext(key) for key in keys}
-                mimic = Element("mimic", {key: x for key, x in values.items() if x is not None})
-                slope, offset, zero = (
-                    number(mimic, key, f"joint '{name}': <mimic>", usual)
-                    for key, usual in zip(keys, "100", strict=True)
-                )
-                mimic.attrib = {"multiplier": text(slope), "offset": text(offset - slope * zero)}
+                slope = _value(given, "multiplier", 1.0)
+                offset = _value(given, "offset") - slope * _value(given, "reference")
+                mimic = Element("mimic", multiplier=text(slope), offset=text(offset))
                 yield name, (f"{scope}{given.get('joint', '')}", mimic)
 
 
@@ -169,10 +164,9 @@ def _remove(tree: Element) -> Iterator[str]:
                 yield child.tag
 
 
-def _value(element: Element | None, what: str) -> float:
-    """Return the number in the text of an element; 0 without the element."""
-    given = "0" if element is None else (element.text or "").strip()
-    return number(Element("axis", {what: given}), what, "a joint")
+def _value(element: Element, path: str, usual: float = 0.0) -> float:
+    """Return the number in the text of an element at a path, or the usual one without it."""
+    return float((element.findtext(path) or "").strip() or usual)
 
 
 def _complete(tree: Element, folder: Path, faults: Faults) -> None:
@@ -197,9 +191,9 @@ def _complete(tree: Element, folder: Path, faults: Faults) -> None:
             if "://" not in (address := uri.text or ""):
                 uri.text = str(folder / address.strip())
     for limit in tree.iter("limit"):
-        for effort in limit.findall("effort"):
-            if _value(effort, "effort") == 0.0:
-                limit.remove(effort)  # else the joint has no drive, and no rotor
+        if _value(limit, "effort") == 0.0:  # with it, the joint has no drive, and no rotor
+            for effort in limit.findall("effort"):
+                limit.remove(effort)
     for element in tree.iter():
         space, _, tag = element.tag.rpartition("}")
         if space.endswith("drake.mit.edu"):
