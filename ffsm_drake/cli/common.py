@@ -1,6 +1,5 @@
 """Shared by the commands: options, errors as one line, the end of the process."""
 
-import atexit
 import functools
 import io
 import math
@@ -12,7 +11,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import FrameType
 from typing import Any, TextIO, cast
 
 import click
@@ -25,7 +23,7 @@ from ffsm_drake.common.errors import (
     placed,
     warnings_as_lines,
 )
-from ffsm_drake.common.guard import guarded, user_code_is_loaded
+from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.interrupts import exit_code, last_words
 from ffsm_drake.common.plugins import COMMANDS, load, offered
 
@@ -169,61 +167,6 @@ def end_threads(code: Any) -> None:
             with suppress(OSError, ValueError):
                 stream.flush()
         os._exit(code if isinstance(code, int) else EXIT_GOOD)
-
-
-def end_process(code: Any, caller: FrameType | None) -> None:
-    """End the process like Python, but without freeing every object (a tenth of a run's time): exit
-    handlers run, and streams are flushed.
-
-    Returns, to let Python end it, if more is needed: ``caller``, the calling frame of the command
-    line, is not the command's own, or a debugger, profiler or test waits for its end; the
-    interpreter is to print something at the end; objects of user-supplied code may write when
-    freed, like open files; ``code`` is no exit code; a stream cannot be written.
-    """
-    if (
-        not (code is None or (isinstance(code, int) and 0 <= code <= 255))
-        or caller is None
-        or not _is_command(caller)
-        or sys.gettrace() is not None
-        or sys.getprofile() is not None
-        or sys.flags.dev_mode
-        or sys.flags.inspect
-        or user_code_is_loaded()
-    ):
-        return
-    try:
-        _flush()
-        threading._shutdown()  # type: ignore[attr-defined]
-        atexit._run_exitfuncs()
-        _flush()
-    except Exception:  # Python has a text and an exit code for it
-        return
-    os._exit(code or EXIT_GOOD)
-
-
-def _flush() -> None:
-    for stream in (sys.stdout, sys.stderr):
-        if stream is not None and not stream.closed:
-            stream.flush()
-    if "ctypes" in sys.modules:  # NumPy uses it: the streams of C
-        sys.modules["ctypes"].CDLL(None).fflush(None)
-
-
-def _is_command(caller: FrameType) -> bool:
-    """True for the frame of the script ``ffsm`` or of ``python -m ffsm_drake``, run by nothing but
-    Python.
-    """
-    names, frame = list[str](), cast("FrameType | None", caller)
-    while frame is not None:
-        names.append(frame.f_code.co_name)
-        frame = frame.f_back
-    spec, file = (caller.f_globals.get(name) for name in ("__spec__", "__file__"))
-    if spec is None:
-        return Path(file or "").name == "ffsm" and names == ["<module>"]
-    return (
-        spec.name == "ffsm_drake.__main__"
-        and names == ["<module>", "_run_code", "_run_module_as_main"]
-    )  # fmt: skip
 
 
 def complete_scenario(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
