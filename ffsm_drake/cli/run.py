@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Iterable, Sequence
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -340,18 +341,6 @@ def _simulate(
     return record
 
 
-def _places(records: Sequence["RunRecord"]) -> list[int]:
-    """Ranks of the records by accuracy (ITAE), best first; runs that ended early come last."""
-    order = ("completed", "interrupted", "missed", "slipped", "bounced", "diverged", "failed")
-
-    def key(k: int) -> tuple[int, float]:
-        outcome = records[k].outcome
-        value = records[k].metrics["itae"] if outcome.completed else -outcome.time
-        return order.index(outcome.status), value
-
-    return sorted(range(len(records)), key=key)
-
-
 def _finish(
     records: Sequence["RunRecord"],
     directory: Path,
@@ -370,6 +359,7 @@ def _finish(
     from ffsm_drake.runs.limits import broken_limits, run_clearance, run_remarks
     from ffsm_drake.runs.reading import REPORT_FILE
     from ffsm_drake.show.outputs import write_outputs
+    from ffsm_drake.show.results import ranking, results_of
     from ffsm_drake.show.table_files import write_table
     from ffsm_drake.show.tables import results_columns, results_data, results_table
 
@@ -398,9 +388,11 @@ def _finish(
             for closest in run_clearance(record):
                 click.echo(f"{record.scenario.controller}: closest approach: {closest}", err=True)
     with trying("table"):
-        placed = _places(records)
-        best_first = [records[k] for k in placed]
-        shown = None if distances is None else [distances[k] for k in placed]
+        best_first = [each.record for each in ranking(results_of(records), attrgetter("itae"))]
+        shown = None
+        if distances is not None:
+            of = dict(zip(map(id, records), distances, strict=True))
+            shown = [of[id(record)] for record in best_first]
         if not as_json:
             click.echo(results_table(best_first, shown))
         if table is not None:
