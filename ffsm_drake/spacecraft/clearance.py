@@ -257,41 +257,34 @@ class Clearance:
 
     def _free_pairs(self) -> list[tuple[RigidBody, RigidBody]]:
         """Return the pairs of bodies with shapes that must keep clear of each other."""
-        plant = self.plant
-        part_of = {  # body -> the first one of its rigid part
-            body.index(): min(int(each.index()) for each in plant.GetBodiesWeldedTo(body))
-            for body in self._bodies[1:]
-        }
-        # rigid part -> the parts beyond its joints
-        joints_at: dict[int, list[tuple[int, Joint]]] = {}
-        for joint in sorted(joints_of(plant), key=_is_known):
-            ends = part_of[joint.parent_body().index()], part_of[joint.child_body().index()]
-            if not _is_known(joint):  # a flexible part belongs to its carrying body
-                part_of = {
-                    body: ends[0] if part == ends[1] else part for body, part in part_of.items()
-                }
-                continue
-            for here, there in (ends, ends[::-1]):
-                joints_at.setdefault(here, []).append((there, joint))
-        pairs, bases = [], {part_of[body] for body in plant.GetFloatingBaseBodies()}
+        plant, pairs = self.plant, list[tuple[RigidBody, RigidBody]]()
+        # the joints that move each body; a flexible part belongs to its carrying body
+        moving = {body.index(): set[Joint]() for body in self._bodies}
+        for joint in map(plant.get_joint, plant.GetJointIndices()):
+            if joint.num_velocities() and _is_known(joint):
+                for index in plant.GetBodiesKinematicallyAffectedBy([joint.index()]):
+                    moving[index].add(joint)
         shaped = [body for body in self._shaped if body.index() != 0]
         for first, second in itertools.combinations(shaped, 2):
-            start, end = part_of[first.index()], part_of[second.index()]
-            if start == end or (
+            one, other = moving[first.index()], moving[second.index()]
+            joints = sorted(one ^ other, key=lambda joint: joint.velocity_start())
+            if not joints or (
                 self._is_held(first, second)
                 and not self._hands.isdisjoint((first.index(), second.index()))
             ):
                 continue
-            joints = self._between(joints_at, start, end)
             connected = {
                 frozenset((each.parent_body().index(), each.child_body().index()))
                 for each in joints
             }
             if frozenset((first.index(), second.index())) in connected:
                 continue
+            is_free = any(joint.num_velocities() > 1 for joint in joints)
+            is_base = min(len(one), len(other)) == 1  # only its free joint moves it
             if (
-                not 0 < len(joints) <= _NEIGHBOURS
-                or (self._is_held(first, second) and not bases.isdisjoint((start, end)))
+                is_free
+                or len(joints) > _NEIGHBOURS
+                or (self._is_held(first, second) and is_base)
                 or not self._always_near(first, second, joints)
             ):
                 pairs.append((first, second))
@@ -302,21 +295,7 @@ class Clearance:
         """Whether two bodies are of different models, a servicer and what it holds."""
         return first.model_instance() != second.model_instance()
 
-    @staticmethod
-    def _between(
-        joints_at: dict[int, list[tuple[int, Joint]]], start: int, end: int
-    ) -> tuple[Joint, ...]:
-        """Return the joints between two rigid parts."""
-        ways: dict[int, tuple[Joint, ...]] = {start: ()}
-        pending = [start]
-        for part in pending:  # grows during the loop
-            for there, joint in joints_at.get(part, []):
-                if there not in ways:
-                    ways[there] = (*ways[part], joint)
-                    pending.append(there)
-        return ways.get(end, ())
-
-    def _always_near(self, first: RigidBody, second: RigidBody, joints: tuple[Joint, ...]) -> bool:
+    def _always_near(self, first: RigidBody, second: RigidBody, joints: list[Joint]) -> bool:
         """True if two bodies are nearer than _NEAR at every angle of the joints between them, and
         what is held does not overlap by more than _DEEP at all of them.
         """
