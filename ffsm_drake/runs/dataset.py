@@ -38,6 +38,16 @@ def make_table(log: RunLog) -> Table:
         if name.startswith("force_"):
             meaning = f"external force '{name[6:]}' at this instant"
             signals[name] = dataclasses.replace(signals["disturbance_force"], meaning=meaning)
+    coords = {
+        "time": ("time", log.time, "control sample t_k", "s"),
+        "coordinate": ("coordinate", coordinates.names),
+        "position_name": ("position_name", coordinates.position_names),
+        "axis": ("axis", ["x", "y", "z"]),
+        "group": ("coordinate", coordinates.group_of),
+        "unit": ("coordinate", coordinates.units),
+    }
+    if coordinates.undriven:
+        coords["driven"] = ("coordinate", coordinates.is_driven)
     table = Table(
         attrs={
             "title": scenario.description,
@@ -45,21 +55,13 @@ def make_table(log: RunLog) -> Table:
             "sample_time": scenario.sample_time,
             "random_seed": scenario.random_seed,
         },
+    ).assign(
+        {
+            name: (signal.dims, values[name], signal.meaning, signal.unit)
+            for name, signal in signals.items()
+        },
+        coords,
     )
-    table = table.assign({
-        name: (signal.dims, values[name], {"long_name": signal.meaning, "units": signal.unit})
-        for name, signal in signals.items()
-    })  # fmt: skip
-    table = table.assign_coords({
-        "time": ("time", log.time, {"long_name": "control sample t_k", "units": "s"}),
-        "coordinate": ("coordinate", coordinates.names),
-        "position_name": ("position_name", coordinates.position_names),
-        "axis": ("axis", ["x", "y", "z"]),
-        "group": ("coordinate", coordinates.group_of),
-        "unit": ("coordinate", coordinates.units),
-    })  # fmt: skip
-    if coordinates.undriven:
-        table = table.assign_coords({"driven": ("coordinate", coordinates.is_driven)})
     if log.frame_error is not None:
         table = _with_frame(table, log, log.frame_error)
     if log.grasp is not None:
@@ -114,20 +116,19 @@ def _with_part(table: Table, log: RunLog, part: PlacedPart) -> Table:
         values = values_of(signal, log)
         if values is None:
             continue
-        attributes = {"long_name": signal.meaning, "units": signal.unit}
-        table = table.assign({signal.name: (signal.dims, values, attributes)})
+        column = (signal.dims, values, signal.meaning, signal.unit)
+        table = table.assign({signal.name: column}, {})
         if signal.components:
             along = signal.dims[1]
             given = list(signal.components)
             if along not in table:
-                table = table.assign_coords({along: (along, given)})
+                table = table.assign({}, {along: (along, given)})
             elif table[along].values.tolist() != given:
                 names = ", ".join(map(str, table[along].values.tolist()))
                 raise BlockError(f"{place} stands along '{along}', whose components are {names}")
     for constant in part.constants:
-        attributes = {"long_name": constant.meaning, "units": constant.unit}
-        column = (constant.dimension, list(constant.values), attributes)
-        table = table.assign_coords({constant.name: column})
+        coordinate = (constant.dimension, list(constant.values), constant.meaning, constant.unit)
+        table = table.assign({}, {constant.name: coordinate})
     return table
 
 
@@ -136,29 +137,27 @@ def _with_roles(table: Table, log: RunLog) -> Table:
     as attributes; ``angular_momentum`` includes the momentum that parts store.
     """
     roles = {role: " ".join(with_role(log.parts, role)) for role in ROLES}
-    table = dataclasses.replace(
-        table, attrs={**table.attrs, **{k: v for k, v in roles.items() if v}}
-    )
-    stored, alone = log.with_role(STORED_MOMENTUM), table["angular_momentum"]
-    if stored is None:
-        return table
-    return table.assign({"angular_momentum": alone._replace(values=alone.values + stored)})
+    columns, stored = dict(table.columns), log.with_role(STORED_MOMENTUM)
+    if stored is not None:
+        alone = columns["angular_momentum"]
+        columns["angular_momentum"] = alone._replace(values=alone.values + stored)
+    attrs = {**table.attrs, **{k: v for k, v in roles.items() if v}}
+    return dataclasses.replace(table, attrs=attrs, columns=columns)
 
 
 def _with_frame(table: Table, log: RunLog, error: np.ndarray) -> Table:
     """Return the table with the pose error of the frame that has a reference."""
-    meaning = {
-        "long_name": "true pose error of the frame (rotation vector, position; world)",
-        "units": "rad, m",
-    }
-    table = table.assign({"frame_error": (("time", "frame_coordinate"), error, meaning)})
+    meaning = "true pose error of the frame (rotation vector, position; world)"
     along = "frame_coordinate"
-    return table.assign_coords({
-        "frame_coordinate": (along, FRAME_COORDINATES),
-        "frame_unit": (along, FRAME_UNITS),
-        "frame_prescribed": (along, frame_rows(log.scenario)),
-        "frame_tracked": (along, log.frame_tracked),
-    })  # fmt: skip
+    return table.assign(
+        {"frame_error": (("time", along), error, meaning, "rad, m")},
+        {
+            along: (along, FRAME_COORDINATES),
+            "frame_unit": (along, FRAME_UNITS),
+            "frame_prescribed": (along, frame_rows(log.scenario)),
+            "frame_tracked": (along, log.frame_tracked),
+        },
+    )
 
 
 def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -208,12 +207,15 @@ def _with_phases(
     pose = np.vstack([grasp.target[:, :7], held])
     # one of the two quaternions of a rotation
     pose[:, :4] *= np.sign(pose[:, :1]) + (pose[:, :1] == 0.0)
-    place = {"long_name": "origin of the target's frame in the world frame", "units": "m"}
-    attitude = {"long_name": "attitude of the target's frame in the world", "units": "1"}
-    table = table.assign({
-        "target_position": (("time", "axis"), pose[:, 4:], place),
-        "target_quaternion": (("time", "quaternion"), pose[:, :4], attitude),
-    })  # fmt: skip
-    phase = grasp.phases + ["stop"] * (len(states) - count)
-    names = ["w", "x", "y", "z"]
-    return table.assign_coords({"phase": ("time", phase), "quaternion": ("quaternion", names)})
+    frame = "of the target's frame in the world"
+    axes = ("time", "quaternion")
+    return table.assign(
+        {
+            "target_position": (("time", "axis"), pose[:, 4:], f"origin {frame} frame", "m"),
+            "target_quaternion": (axes, pose[:, :4], f"attitude {frame}", "1"),
+        },
+        {
+            "phase": ("time", grasp.phases + ["stop"] * (len(states) - count)),
+            "quaternion": ("quaternion", ["w", "x", "y", "z"]),
+        },
+    )

@@ -253,7 +253,7 @@ def check_saving(directory: Path) -> None:
     try:
         import xarray.backends.netCDF4_  # noqa: F401
 
-        Table().assign({"time": ("time", [0.0])}).to_dataset()
+        Table().assign({"time": ("time", [0.0])}, {}).to_dataset()
     except Exception as error:  # of any package, for a setting that it reads
         first: BaseException = error
         while first.__context__ is not None:

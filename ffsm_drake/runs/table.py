@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     Labelled: TypeAlias = "Table | xr.Dataset"
 
-# Dimensions, or the only one; values; attributes, if there are any.
+# Dimensions, or the only one; values; meaning and unit, if they have them.
 Given: TypeAlias = tuple[Any, ...]
 
 
@@ -29,33 +29,30 @@ class Column(NamedTuple):
 class Table:
     """The part of ``xarray.Dataset`` that metrics need, with the same names and meanings."""
 
-    variables: Mapping[str, Column] = dataclasses.field(default_factory=dict)
-    coords: Mapping[str, Column] = dataclasses.field(default_factory=dict)
+    columns: Mapping[str, Column] = dataclasses.field(default_factory=dict)
+    coords: frozenset[str] = frozenset()  # the columns that are coordinates
     attrs: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     def __contains__(self, name: str) -> bool:
-        return name in self.variables or name in self.coords
+        return name in self.columns
 
     def __getitem__(self, name: str) -> Column:
-        return self.variables[name] if name in self.variables else self.coords[name]
+        return self.columns[name]
 
     @property
     def sizes(self) -> dict[str, int]:
         """Length of every dimension."""
-        columns = (*self.coords.values(), *self.variables.values())
         return {
             dim: size
-            for column in columns
+            for column in self.columns.values()
             for dim, size in zip(column.dims, column.values.shape, strict=True)
         }
 
-    def assign(self, variables: Mapping[str, Given]) -> "Table":
-        """Return the table with further variables, or others in their place."""
-        return dataclasses.replace(self, variables={**self.variables, **_columns(variables)})
-
-    def assign_coords(self, coords: Mapping[str, Given]) -> "Table":
-        """Return the table with further coordinates, or others in their place."""
-        return dataclasses.replace(self, coords={**self.coords, **_columns(coords)})
+    def assign(self, variables: Mapping[str, Given], coords: Mapping[str, Given]) -> "Table":
+        """Return the table with further variables and coordinates, or others in their place."""
+        given = {name: _column(*column) for name, column in {**variables, **coords}.items()}
+        columns = {**self.columns, **given}
+        return dataclasses.replace(self, columns=columns, coords=self.coords.union(coords))
 
     def isel(self, *, time: Any) -> "Table":
         """Return the table at some of its samples: a slice, a mask or indices."""
@@ -66,17 +63,15 @@ class Table:
             place = (slice(None),) * column.dims.index("time")
             return column._replace(values=column.values[(*place, time)])
 
-        return dataclasses.replace(
-            self,
-            variables={name: part(column) for name, column in self.variables.items()},
-            coords={name: part(column) for name, column in self.coords.items()},
-        )
+        columns = {name: part(column) for name, column in self.columns.items()}
+        return dataclasses.replace(self, columns=columns)
 
     def to_dataset(self) -> "xr.Dataset":
         """Return the table as an xarray Dataset."""
         import xarray as xr
 
-        return xr.Dataset(self.variables, coords=self.coords, attrs=self.attrs)
+        dataset = xr.Dataset(self.columns, attrs=self.attrs)
+        return dataset.set_coords(self.coords)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -114,11 +109,6 @@ def driven_of(dataset: "Labelled") -> np.ndarray:
     return dataset["driven"].values.astype(bool) if "driven" in dataset.coords else everything
 
 
-def _columns(given: Mapping[str, Given]) -> dict[str, Column]:
-    return {name: _column(*column) for name, column in given.items()}
-
-
-def _column(
-    dims: str | tuple[str, ...], values: Any, attrs: Mapping[str, str] | None = None
-) -> Column:
-    return Column((dims,) if isinstance(dims, str) else dims, np.asarray(values), attrs or {})
+def _column(dims: str | tuple[str, ...], values: Any, meaning: str = "", unit: str = "") -> Column:
+    attrs = {"long_name": meaning, "units": unit} if meaning else {}
+    return Column((dims,) if isinstance(dims, str) else dims, np.asarray(values), attrs)
