@@ -8,11 +8,11 @@ import functools
 import itertools
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
+from scipy.interpolate import NearestNDInterpolator
 
 from ffsm_drake.common.errors import CampaignError, FfsmError, LimitError
 from ffsm_drake.common.steps import step
@@ -196,49 +196,41 @@ def predict_map(
 def _refine(
     predict: Callable[[int, int], float], grid: np.ndarray, finer: int, until: float
 ) -> bool:
-    """Fill in every ``finer``-th point of a grid (size, size), from far apart to near, and all
-    points of the cells that the boundary crosses. Returns False if the time does not suffice.
-    """
-
-    def fill(i: int, j: int) -> None:
-        if grid[i, j] == _UNKNOWN:
+    """Fill in ``_points`` of a grid. Returns False if the time does not suffice."""
+    for place in _points(grid, finer):
+        if grid[place] == _UNKNOWN:
             if time.monotonic() > until:
-                raise TimeoutError
+                return False
             with step(lambda: f"point {(grid != _UNKNOWN).sum() + 1} of at most {grid.size}"):
-                grid[i, j] = predict(i, j)
-
-    try:
-        _fill(fill, grid, finer)
-    except TimeoutError:
-        return False
+                grid[place] = predict(*place)
     return True
 
 
-def _fill(fill: Callable[[int, int], None], grid: np.ndarray, finer: int) -> None:
+def _points(grid: np.ndarray, finer: int) -> Iterator[tuple[int, int]]:
+    """Every ``finer``-th point of a grid (size, size), from far apart to near, and all points of
+    the cells that the boundary crosses, by what is filled in so far.
+    """
     size = len(grid)
-    fill(0, 0)
-    fill(size - 1, size - 1)
+    yield 0, 0
+    yield size - 1, size - 1
     if np.isnan(grid[0, 0]) and np.isnan(grid[-1, -1]):
         return  # no prediction for this controller
     coarse = range(0, size, finer)
     for k in (k for k in (len(coarse) - 1, 5, 3, 1) if 0 < k < len(coarse)):
-        for i, j in itertools.product(coarse[::k], coarse[::k]):
-            fill(i, j)
-    for i, j in itertools.product(coarse[:-1], coarse[:-1]):
-        cell = np.ix_((i, i + finer), (j, j + finer))
-        if len({bool(value < 1.0) for value in grid[cell].ravel()}) > 1:
-            for m, n in itertools.product(range(finer + 1), repeat=2):
-                fill(i + m, j + n)
+        yield from itertools.product(coarse[::k], repeat=2)
+    for i, j in itertools.product(coarse[:-1], repeat=2):
+        corners = grid[np.ix_((i, i + finer), (j, j + finer))] < 1.0
+        if corners.any() and not corners.all():
+            yield from itertools.product(range(i, i + finer + 1), range(j, j + finer + 1))
 
 
 def _filled(grid: np.ndarray) -> np.ndarray:
     """Return the grid with the nearest known value at unknown points; NaN where there is none."""
-    known = np.argwhere(grid != _UNKNOWN)
-    if not len(known):
+    known = grid != _UNKNOWN
+    if not known.any():
         return np.full_like(grid, np.nan)
-    every = np.argwhere(np.ones_like(grid, dtype=bool))
-    nearest = known[KDTree(known).query(every)[1]]
-    filled: np.ndarray = grid[tuple(nearest.T)].reshape(grid.shape)
+    nearest = NearestNDInterpolator(np.argwhere(known), grid[known])
+    filled: np.ndarray = nearest(*np.indices(grid.shape))
     return filled
 
 
