@@ -40,16 +40,17 @@ _COLUMNS = 600  # states in one pass: as many as fit the processor's cache
 
 def complex_step(
     calc: Callable[..., np.ndarray],
-    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
-    wanted: list[tuple[int, int]],
+    motion: np.ndarray,
+    wanted: list[tuple[int, int]] | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """calc(z, rate, acceleration) (m, n) of a motion (size, n each), and derivatives (3, m, size,
+    """calc(z, rate, acceleration) (m, n) of a motion (3, size, n), and derivatives (3, m, size,
     n; row, column).
 
-    Args: a function of complex arrays, column by column; the variables to differentiate by, (order,
-    index), other derivatives being zero.
+    Args: a function of complex arrays, column by column; the motion; the variables to differentiate
+    by, (order, index), other derivatives being zero; None: all.
     """
-    size, count = motion[0].shape
+    _, size, count = motion.shape
+    wanted = list(np.ndindex(3, size)) if wanted is None else wanted
     share = max(1, _COLUMNS // count)
     value, derivative = np.empty(0), np.empty(0)
     for start in range(0, len(wanted), share):
@@ -99,8 +100,8 @@ class InverseDynamics:
         bodies = range(len(self._tree.links) + 1)
         return sum(self._own[self._tree.inertia_rows(body)][0] for body in bodies)
 
-    def force(self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-        """tau (nv, n), world axes, for z and its time derivatives (nv, n)."""
+    def calc(self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+        """tau (nv, n), world axes, for z and its time derivatives (nv, n). Complex arrays pass."""
         tree, own, joints = self._tree, self._own, slice(NUM_BASE_VELOCITIES, None)
         turned, w, alpha = attitude_motion(z[:3], rate[:3], acceleration[:3])
         R_WB = np.einsum("ijn,jk->ikn", turned, self._first)
@@ -118,18 +119,6 @@ class InverseDynamics:
         on_base = tau[:NUM_BASE_VELOCITIES].reshape(2, 3, -1)
         tau[:NUM_BASE_VELOCITIES] = np.einsum("ijn,ajn->ain", R_WB, on_base).reshape(6, -1)
         return tau
-
-    def linearized(
-        self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """tau (nv, n), and its derivatives by z, rate and acceleration (3, nv, nv, n; row,
-        column).
-        """
-        size = len(z)
-        # the force does not depend on position and its rate
-        inner = [i for i in range(size) if not 3 <= i < NUM_BASE_VELOCITIES]
-        wanted = [(0, i) for i in inner] + [(1, i) for i in inner] + [(2, i) for i in range(size)]
-        return complex_step(self.force, (z, rate, acceleration), wanted)
 
 
 class FreeDynamics:
@@ -150,7 +139,7 @@ class FreeDynamics:
         count = z.shape[1]
         whole, moving, speeding = (np.zeros((self._size, count), dtype=z.dtype) for _ in range(3))
         whole[self._driven], moving[self._driven], speeding[self._driven] = z, rate, acceleration
-        force = self._dynamics.force
+        force = self._dynamics.calc
         if not self.turns:
             speeding[3:NUM_BASE_VELOCITIES] = -force(whole, moving, speeding)[3:NUM_BASE_VELOCITIES]
             speeding[3:NUM_BASE_VELOCITIES] /= self._dynamics.mass
@@ -172,15 +161,6 @@ class FreeDynamics:
         wrench = force(whole, moving, speeding)[_BASE]
         speeding[_BASE] = -np.linalg.solve(inertia, wrench.T[..., None])[..., 0].T
         return np.vstack([force(whole, moving, speeding)[self._driven], moving[:3], speeding[:3]])
-
-    def linearized(
-        self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the results of ``calc``, and their derivatives by z_a, rate and acceleration (3,
-        m, na, n; row, column).
-        """
-        wanted = [(order, i) for order in range(3) for i in range(len(z))]
-        return complex_step(self.calc, (z, rate, acceleration), wanted)
 
 
 def turned(

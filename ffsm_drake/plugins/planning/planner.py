@@ -326,7 +326,7 @@ class _Planner:
             rows = followed.rows(times)
             force = model.calc_tracking_force(*np.split(rows, [size + 1, 2 * size + 1], axis=1))
         else:
-            rows, force = plan.rows(times), self._dynamics.force(*plan.curve(times)).T
+            rows, force = plan.rows(times), self._dynamics.calc(*plan.curve(times)).T
         # The impulse is limited up to the planned duration.
         main = times <= plan.duration
         impulse = np.trapezoid(np.abs(force[main]), times[main], axis=0)

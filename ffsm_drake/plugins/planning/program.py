@@ -214,12 +214,9 @@ class PlanningProgram:
         if not bounded.size:
             return
 
-        def relative(values: np.ndarray, by: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            return (values[:, bounded] / limits).ravel(), by[:, bounded] / limits[:, None]
-
         ones = np.ones(self._segment.size * bounded.size)
         constraint = self._program.AddConstraint(
-            lambda x: self._with_gradient(x, relative), -ones, ones, self._unknowns
+            lambda x: (self._values(x)[:, bounded] / limits).ravel(), -ones, ones, self._unknowns
         )
         self._forces = constraint.evaluator()
         self._forces.SetGradientSparsityPattern(self._pattern(bounded.size))
@@ -234,16 +231,8 @@ class PlanningProgram:
         weights = self._weights @ self._lengths_by
 
         def room(x: np.ndarray) -> np.ndarray:
-            given = (ExtractValue(x).ravel() if x.dtype == object else x)[inner:]
-            identity = np.eye(given.size)
-
-            def both(values: np.ndarray, by: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-                force, slope = values[:, limited].ravel(), by[:, limited].reshape(-1, inner)
-                return np.r_[given - force, given + force], np.block(
-                    [[-slope, identity], [slope, identity]]
-                )
-
-            return self._with_gradient(x, both)
+            force, given = self._values(x)[:, limited].ravel(), x[inner:]
+            return np.concatenate([given - force, given + force])
 
         none = np.zeros(2 * sizes.size)
         constraint = self._program.AddConstraint(
@@ -271,20 +260,21 @@ class PlanningProgram:
                 )
             return
 
-        def square(values: np.ndarray, by: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            vector, turning = self._turned(values, by)
+        def square(x: np.ndarray) -> np.ndarray:
+            vector, turning = self._turned(x)
             slope = 2.0 * np.einsum("ki,kix->kx", vector, turning)
-            return (vector**2).sum(axis=1) / self._allowed_turn**2, slope / self._allowed_turn**2
+            return self._lifted(x, (vector**2).sum(axis=1), slope) / self._allowed_turn**2
 
         ones = np.ones(self._segment.size - 1)
         self._turn = self._program.AddConstraint(
-            lambda x: self._with_gradient(x, square), -np.inf * ones, ones, self._unknowns
+            square, -np.inf * ones, ones, self._unknowns
         ).evaluator()
 
-    def _turned(self, values: np.ndarray, by: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _turned(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the base's rotation vector at every instant but the first, and its small rotations
         by the unknowns.
         """
+        values, by = self._evaluate(x)
         w, alpha = np.split(values[:, self._size : self._size + 6], 2, axis=1)
         slope = by[:, self._size : self._size + 6]
         step = np.zeros((len(self._steps), self._unknowns.size))
@@ -296,7 +286,7 @@ class PlanningProgram:
         """Rotation of the base by the joints, rad; zero without a limit on it."""
         if self._turn is None:
             return 0.0
-        vector, _ = self._turned(*self._evaluate(unknowns))
+        vector, _ = self._turned(unknowns)
         return float(np.linalg.norm(vector, axis=1).max())
 
     def _allow_turn(self, allowed: float) -> None:
@@ -332,19 +322,18 @@ class PlanningProgram:
         q = np.zeros(clearance.plant.num_positions())
         q[0] = 1.0
 
-        def nearness(values: np.ndarray, by: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def nearness(x: np.ndarray) -> np.ndarray:
+            values, by = self._evaluate(x)
             found, slope = np.empty(len(values)), np.zeros_like(values[:, joints])
             for k, row in enumerate(values[:, joints]):
                 q[joints] = row
                 distance, rate = _distances(clearance, q, self._kept + _INFLUENCE)
                 found[k], weight = _nearness(distance, self._kept)
                 slope[k] = weight @ rate[:, joints]
-            return found, np.einsum("kj,kjx->kx", slope, by[:, joints])
+            return self._lifted(x, found, np.einsum("kj,kjx->kx", slope, by[:, joints]))
 
         ones = np.ones(self._segment.size)
-        constraint = self._program.AddConstraint(
-            lambda x: self._with_gradient(x, nearness), -np.inf * ones, ones, self._unknowns
-        )
+        constraint = self._program.AddConstraint(nearness, -np.inf * ones, ones, self._unknowns)
         constraint.evaluator().SetGradientSparsityPattern(self._pattern(1))
 
     def _pattern(self, rows: int) -> list[tuple[int, int]]:
@@ -358,27 +347,27 @@ class PlanningProgram:
             if column < self._unknowns.size
         ]
 
-    def _with_gradient(
-        self,
-        x: np.ndarray,
-        chosen: Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
-    ) -> np.ndarray:
-        """Return values ``chosen`` from all values, with their gradient.
-
-        x either has no derivatives or, from the solver, those by itself.
+    def _lifted(self, x: np.ndarray, values: np.ndarray, by: np.ndarray) -> np.ndarray:
+        """Return values, with their gradient ``by`` the unknowns if x has derivatives, which are
+        those by itself; x begins with the unknowns.
         """
-        differentiated = x.dtype == object
-        unknowns = ExtractValue(x).ravel() if differentiated else x
-        result, gradient = chosen(*self._evaluate(unknowns[: self._unknowns.size]))
-        if not differentiated:
-            return result
-        return InitializeAutoDiff(result[:, None], gradient.reshape(result.size, -1))
+        if x.dtype != object:
+            return values
+        gradient = np.zeros((values.size, x.size))
+        gradient[:, : self._unknowns.size] = by.reshape(values.size, -1)
+        return InitializeAutoDiff(values.reshape(-1, 1), gradient).reshape(values.shape)
 
-    def _evaluate(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _values(self, x: np.ndarray) -> np.ndarray:
+        """Return the values of ``_evaluate``, with their gradient if x has derivatives."""
+        return self._lifted(x, *self._evaluate(x))
+
+    def _evaluate(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (instants, rows) for [P, h] and their gradient (instants, rows, unknowns).
 
-        The rows are force, what else the dynamics give, and z.
+        The rows are force, what else the dynamics give, and z. x begins with the unknowns.
         """
+        given = ExtractValue(x).ravel() if x.dtype == object else x
+        unknowns = given[: self._unknowns.size]
         if self._cache[0] == (key := unknowns.tobytes()):
             return self._cache[1:]
         count, size = self._segment.size, self._size
@@ -387,7 +376,7 @@ class PlanningProgram:
         basis, change = self._basis_at(self._last_lengths)
         points = points.reshape(-1, size)[self._near]
         motion = np.einsum("oan,nas->osn", basis, points)
-        found, by = self._dynamics.linearized(*motion)
+        found, by = complex_step(self._dynamics.calc, motion)
         own = np.zeros((3, size, size, count))
         own[0] = np.eye(size)[..., None]
         found, by = np.vstack([found, motion[0]]), np.concatenate([by, own], axis=1)
@@ -417,16 +406,9 @@ class PlanningProgram:
     def _cost(self, x: np.ndarray) -> np.ndarray:
         """Weighed duration and integral of the squared force."""
         own, effort = self._planning.time_weight, self._planning.effort_weight
-
-        def weighed(values: np.ndarray, by: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            force, weights = values[:, : self._size], self._weights @ self._last_lengths
-            square = (force**2).sum(axis=1)
-            cost = own * self._last_lengths.sum() + effort * weights @ square
-            slope = 2.0 * effort * np.einsum("k,ki,kix->x", weights, force, by[:, : self._size])
-            slope[self._points.size :] += (own + effort * square @ self._weights) @ self._lengths_by
-            return np.array([cost]) / self._scale, slope / self._scale
-
-        return self._with_gradient(x, weighed).item()
+        square = (self._values(x)[:, : self._size] ** 2).sum(axis=1)
+        lengths = self._lengths_by @ x[self._points.size :]
+        return (own * lengths.sum() + effort * (self._weights @ lengths) @ square) / self._scale
 
     def guess(self, curve: Callable[[np.ndarray], np.ndarray], duration: float) -> np.ndarray:
         """Unknowns of the spline with even segments nearest to z(t / T), (instants, size)."""
@@ -513,7 +495,8 @@ def spline_basis(window: np.ndarray, within: np.ndarray) -> tuple[np.ndarray, np
     """
     place = np.broadcast_to(within, window.shape)
     lengths = [(0, i) for i in range(len(window))]
-    found, by = complex_step(_splines, (window, place, np.zeros_like(window)), lengths)
+    given = np.array([window, place, np.zeros_like(window)])
+    found, by = complex_step(_splines, given, lengths)
     return found.reshape(3, DEGREE + 1, -1), by[0].reshape(3, DEGREE + 1, len(window), -1)
 
 

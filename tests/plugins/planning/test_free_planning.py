@@ -8,6 +8,7 @@ from ffsm_drake import ScenarioError, load_scenario, make_nominal_plant, simulat
 from ffsm_drake.plugins.planning.inverse_dynamics import (
     FreeDynamics,
     InverseDynamics,
+    complex_step,
     rotation_vector,
     turned,
 )
@@ -46,9 +47,9 @@ def test_force_and_rates_are_those_of_the_reduced_dynamics(driven):
     )
     dynamics = FreeDynamics(InverseDynamics(model, RotationMatrix()), model.coordinates)
     size, joints = model.coordinates.driven.size, len(model.coordinates.joints)
-    z, rate, acceleration = np.random.default_rng(0).normal(size=(3, size, 20))
+    motion = z, rate, acceleration = np.random.default_rng(0).normal(size=(3, size, 20))
     z[: size - joints] = 0.0
-    found, by = dynamics.linearized(z, rate, acceleration)
+    found, by = complex_step(dynamics.calc, motion)
     q = np.zeros((20, 7 + joints))
     q[:, 0], q[:, 7:] = 1.0, z[size - joints :].T
     stack = free_floating(model, q, driven)
