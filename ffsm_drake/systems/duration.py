@@ -87,16 +87,14 @@ def _worst_of(
     """Duration, s -> the largest fraction of a limit used by its motion, and that limit's name; the
     share ``free`` of forces and rates is usable.
     """
-    coordinates = model.coordinates
     named = ("force on", "velocity of", "position of")
-    names = [f"{what} {name}" for what in named for name in coordinates.names]
-    nq, nv = len(coordinates.position_names), len(coordinates.names)
+    names = [f"{what} {name}" for what in named for name in model.coordinates.names]
 
     def worst(duration: float) -> tuple[float, str]:
         motion = motion_in(duration)
         instants = math.ceil(_INSTANTS * duration / (duration - shaped_by))
         times = np.linspace(motion.begin, motion.end, instants)
-        q, v, a = np.split(motion.rows(times), [nq, nq + nv], axis=1)
+        q, v, a = motion.evaluate(times)
         shares = [
             np.abs(model.calc_tracking_force(q, v, a)) / (free * force.upper),
             np.abs(v) / (free * rate.upper),

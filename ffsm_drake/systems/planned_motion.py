@@ -33,11 +33,6 @@ class PlannedMotion(abc.ABC):
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
 
-    def velocities(self, times: np.ndarray) -> np.ndarray:
-        """v_d (n, nv) at times (n,)."""
-        num_positions = len(self.coordinates.position_names)
-        return self.rows(times)[:, num_positions : num_positions + len(self.coordinates.names)]
-
     def remarks(self) -> list[str]:
         """Deviations of the motion from its specification, a line each."""
         return []
@@ -46,15 +41,11 @@ class PlannedMotion(abc.ABC):
         """Time at which a fraction (0 to 1) of the motion with the target held has passed, s."""
         return self.begin + share * (self.end - self.begin)
 
-    def evaluate(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """q_d (nq), v_d (nv) and dv_d/dt (nv) at a time in s."""
-        num_positions, num_velocities = (
-            len(self.coordinates.position_names),
-            len(self.coordinates.names),
-        )
-        q_d, v_d, a_d = np.split(
-            self.row(time).copy(), [num_positions, num_positions + num_velocities]
-        )
+    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """q_d (..., nq), v_d (..., nv) and dv_d/dt (..., nv) at a time in s, or at times (n,)."""
+        nq, nv = len(self.coordinates.position_names), len(self.coordinates.names)
+        rows = self.rows(time) if isinstance(time, np.ndarray) else self.row(time).copy()
+        q_d, v_d, a_d = np.split(rows, [nq, nq + nv], axis=-1)
         return q_d, v_d, a_d
 
     def row(self, time: float) -> np.ndarray:

@@ -435,8 +435,7 @@ def _at_start(scenario: Scenario) -> _Start:
         base = free_floating(model, q)
     else:
         motion = make_motion(scenario, coordinates)
-        q, v = np.split(motion.rows(np.zeros(1))[0], [len(coordinates.position_names)])
-        v = v[: len(coordinates.names)]
+        q, v, _ = motion.evaluate(0.0)
         base = free_floating(model, q)
         spin, linear = base.spin_map @ v, base.momentum(v)[3:]
     return _Start(

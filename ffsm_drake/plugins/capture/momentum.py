@@ -173,9 +173,7 @@ def _along(
     motion = make_motion(scenario, model.coordinates)
     parts = max(1.0, scenario.duration / motion.end)
     times = np.linspace(0.0, parts * motion.end, math.ceil(parts * _INSTANTS))
-    positions, v, _ = np.split(
-        motion.rows(times), np.cumsum([q.size, len(model.coordinates.names)]), axis=1
-    )
+    positions, v, _ = motion.evaluate(times)
     return times, positions, (free_floating(model, positions).spin_map @ v[..., None])[..., 0]
 
 

@@ -150,10 +150,7 @@ def _motion_remarks(
     model's payload; positions are those of the postures.
     """
     times = np.linspace(begin, end, _POSTURES)
-    names = plan.coordinates
-    q, v, a = np.split(
-        plan.rows(times), np.cumsum([len(names.position_names), len(names.names)]), axis=1
-    )
+    q, v, a = plan.evaluate(times)
     motion = {RATE: v}
     if np.isfinite(tightest(limits, FORCE).upper).any():
         motion[FORCE] = model.calc_tracking_force(q, v, a)
@@ -202,13 +199,9 @@ def _plan_clearance_of(scenario: Scenario, files: tuple[Path, ...]) -> list[Clos
         path = Aim(scenario).path
         chosen = np.unique(np.linspace(0, len(path) - 1, INSTANTS).round().astype(int))
         times = scenario.sample_time * chosen
-        found += closest_of(scenario, times, _positions_of(motion, times), target=path[chosen, :7])
+        found += closest_of(scenario, times, motion.evaluate(times)[0], target=path[chosen, :7])
     times = np.linspace(motion.begin, min(motion.end, scenario.duration), INSTANTS)
-    return [*found, *closest_of(scenario, times, _positions_of(motion, times))]
-
-
-def _positions_of(motion: PlannedMotion, times: np.ndarray) -> np.ndarray:
-    return motion.rows(times)[:, : len(motion.coordinates.position_names)]
+    return [*found, *closest_of(scenario, times, motion.evaluate(times)[0])]
 
 
 def _momentum(scenario: Scenario) -> Iterator[str]:

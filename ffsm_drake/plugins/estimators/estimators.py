@@ -460,9 +460,7 @@ def _gains_along(
     """
     model = driven_model(make_nominal_plant(scenario, grip))
     motion = make_motion(scenario, model.coordinates, grip)
-    q = motion.rows(np.linspace(motion.begin, motion.end, _INSTANTS))[
-        :, : len(model.coordinates.position_names)
-    ]
+    q, _, _ = motion.evaluate(np.linspace(motion.begin, motion.end, _INSTANTS))
     inverse = np.linalg.inv(model.calc_mass_matrix(q))[:, axes[:, None], axes]
     # Distances by the logarithm of the eigenvalue farthest from one: they add up along the motion.
     ratios = np.linalg.eigvals(np.linalg.solve(inverse[1:], inverse[:-1])).real

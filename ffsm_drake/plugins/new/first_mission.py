@@ -202,9 +202,7 @@ class Draft:
         motion uses, and the joint that uses it, as text.
         """
         motion, limits = make_motion(self.scenario, self.coordinates), self._limits
-        rows = motion.rows(np.linspace(0.0, motion.end, 4 * _INSTANTS))
-        nq, nv = len(self.coordinates.position_names), len(self.coordinates.names)
-        q, v, _ = np.split(rows, [nq, nq + nv], axis=1)
+        q, v, _ = motion.evaluate(np.linspace(0.0, motion.end, 4 * _INSTANTS))
         used = np.array([
             limit.used({POSITION: q[:, 1:], RATE: v}[limit.quantity]).max(axis=0)
             / _WITHIN[limit.quantity] for limit in limits

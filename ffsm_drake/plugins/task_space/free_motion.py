@@ -174,10 +174,6 @@ class FreeMotion(MomentumMotion):
         self._columns = np.concatenate(
             [[0] if coordinates.is_driven[0] else [], coordinates.driven + 1]
         ).astype(int)
-        self._sizes = [
-            len(coordinates.position_names),
-            len(coordinates.position_names) + len(coordinates.names),
-        ]
         q, v, _ = wanted.evaluate(0.0)
         super().__init__(
             model=model,
@@ -189,11 +185,11 @@ class FreeMotion(MomentumMotion):
         )
 
     def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
-        return self._wanted.velocities(np.array([time]))[0, self._driven]
+        return self._wanted.evaluate(np.array([time]))[1][0, self._driven]
 
     def driven_motion(
         self, times: np.ndarray, q: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        wanted, v, a = np.split(self._wanted.rows(times), self._sizes, axis=1)
+        wanted, v, a = self._wanted.evaluate(times)
         q[:, self._columns] = wanted[:, self._columns]
         return q, v[:, self._driven], a[:, self._driven]

@@ -247,7 +247,7 @@ def _is_clear(
     assert chase.known is not None
     samples, scenario = samples.round().astype(int), chase.scenario
     times = (samples - first) * scenario.sample_time
-    q = motion.rows(times)[:, : len(now.stage.coordinates.position_names)]
+    q, _, _ = motion.evaluate(times)
     nearest = closest_of(scenario, times, q, target=chase.known.motion[samples, :7])
     return all(each.keeps(scenario.clearance + margin) for each in nearest)
 
