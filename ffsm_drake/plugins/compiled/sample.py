@@ -5,7 +5,7 @@ with its exact derivative.
 import collections
 import dataclasses
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -26,13 +26,6 @@ _Codes = tuple[Step, Step]  # of a sample alone, and with its derivatives
 _codes: collections.OrderedDict[Any, _Codes | NotCovered] = collections.OrderedDict()
 _MOST = 1000  # numbers of a state
 _LONGEST = 5000  # samples in a common period of the sensors
-
-
-class Derivative(NamedTuple):
-    """Derivatives by the state before a sample (n) and by its noise (m), white of deviation 1."""
-
-    state: np.ndarray  # (n, n + m) of the state before the next sample
-    force: np.ndarray  # (nv, n + m) of the controller's force
 
 
 class TracedSample:
@@ -127,23 +120,25 @@ class TracedSample:
         return found, cells[force : force + self._sizes["generalized_force"], 0].copy()
 
     def derivative(
-        self, index: int, state: np.ndarray, truth: MassProperties | None = None
-    ) -> tuple[np.ndarray, Derivative]:
-        """The state before the next sample (n), and the derivative there.
+        self, index: int, state: np.ndarray, truth: MassProperties | None, directions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The state before the next sample (n), and derivatives of it and of the force (nv) by
+        directions (k).
 
         Args:
           index: of the control sample.
           state: before it.
           truth: true mass properties of the payload, in place of the scenario's.
+          directions: of the state and of its noise (n + m, k), white of deviation 1.
         """
-        code, count = self._slopes, self.size + self.num_noise
+        code, count = self._slopes, directions.shape[1]
         start, width, row = self._filled(code), code.width, self._read(index)
         if truth is not None:
             changed = self._run.carrying(truth).parameters
             for name in ("own", "parts"):
                 self._of(code, start, name, changed[name].size)[:] = changed[name][:, None]
         self._of(code, start, "x", self.size)[:] = state[:, None]
-        directions = np.eye(count, -(-count // width) * width)
+        directions = np.pad(directions, ((0, 0), (0, -count % width)))
         of_state = np.empty((self.size, directions.shape[1]))
         of_force = np.empty((self._sizes["generalized_force"], directions.shape[1]))
         rows = np.repeat(row[:, None], width, axis=1)
@@ -154,8 +149,8 @@ class TracedSample:
             code.run(cells, rows, index * self.sample_time)
             of_state[:, part] = self._of(code, cells, "d_x", self.size)
             of_force[:, part] = self._of(code, cells, "d_generalized_force", len(of_force))
-        found = Derivative(of_state[:, :count], of_force[:, :count])
-        return self._of(code, cells, "x", self.size)[:, 0].copy(), found
+        after = self._of(code, cells, "x", self.size)[:, 0].copy()
+        return after, of_state[:, :count], of_force[:, :count]
 
     def _filled(self, code: Step) -> np.ndarray:
         """Cells with the parameters of the run."""
@@ -174,8 +169,7 @@ class TracedSample:
         if self._planned.shape[1]:
             if index >= len(self._planned):
                 times = self.sample_time * np.arange(2 * index + 1)
-                q_d = self.motion.rows(times)[:, : len(self.coordinates.position_names)]
-                self._planned = rows_of(self.law, q_d)
+                self._planned = rows_of(self.law, self.motion.evaluate(times)[0])
             row[places["planned"]] = self._planned[index]
         return row
 

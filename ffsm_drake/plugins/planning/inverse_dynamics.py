@@ -201,5 +201,4 @@ def turned(
 
 def rotation_vector(rotation: np.ndarray) -> np.ndarray:
     """Rotation vectors (n, 3) of rotation matrices (n, 3, 3), rad, below half a turn."""
-    vectors: np.ndarray = Rotation.from_matrix(rotation).as_rotvec()
-    return vectors
+    return Rotation.from_matrix(rotation).as_rotvec()

@@ -83,8 +83,7 @@ class Tvlqr(ControlLaw):
         """K_k (nv, 2 nv) after so many samples."""
         if len(self.gains) == 1:
             return self.gains[0]
-        gain: np.ndarray = self.gains[min(int(samples), len(self.gains) - 1)]
-        return gain
+        return self.gains[min(int(samples), len(self.gains) - 1)]
 
     def at_samples(self, q_d: np.ndarray) -> Mapping[str, np.ndarray]:
         """K_k of the samples from the first one, for the compiled engine."""

@@ -33,14 +33,12 @@ class Growth:
     @property
     def force(self) -> np.ndarray:
         """Its size (n), N."""
-        size: np.ndarray = np.linalg.norm(self.wrench[:, 3:], axis=1)
-        return size
+        return np.linalg.norm(self.wrench[:, 3:], axis=1)
 
     @property
     def moment(self) -> np.ndarray:
         """Its size (n), N m."""
-        size: np.ndarray = np.linalg.norm(self.wrench[:, :3], axis=1)
-        return size
+        return np.linalg.norm(self.wrench[:, :3], axis=1)
 
 
 def growth(scenario: Scenario, law: ControlLaw, q: np.ndarray, grip: Grip = HELD) -> Growth:

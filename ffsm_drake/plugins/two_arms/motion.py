@@ -210,10 +210,9 @@ class _Follower:
         """The Jacobian (6, nv) of the target's frame."""
         plant, frame = self.model.plant, self._target.body_frame()
         world = plant.world_frame()
-        found: np.ndarray = plant.CalcJacobianSpatialVelocity(
+        return plant.CalcJacobianSpatialVelocity(
             self.model.context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world
         )
-        return found
 
     @staticmethod
     def _rooted(q: np.ndarray) -> np.ndarray:
@@ -344,8 +343,7 @@ class _Arm:
 
 
 def _quaternion(pose: RigidTransform) -> np.ndarray:
-    found: np.ndarray = pose.rotation().ToQuaternion().wxyz()
-    return found
+    return pose.rotation().ToQuaternion().wxyz()
 
 
 def closed_chain(

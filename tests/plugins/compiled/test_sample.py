@@ -83,12 +83,12 @@ def check_derivative(name, law, overrides):
         for index in range(first, first + 5):
             state, _ = loop.after(index, state, {})
         held, index = [part for part, _ in sample.held.values()], first + 5
-        _, found = sample.derivative(index, state)
+        _, *found = sample.derivative(index, state, None, np.eye(sample.size + sample.num_noise))
         free = np.ones(sample.size, dtype=bool)
         for part in held:
             free[part] = False
         for entry in np.flatnonzero(free):
-            exact = np.concatenate([found.state[:, entry], found.force[:, entry]])
+            exact = np.concatenate([each[:, entry] for each in found])
             scale = max(1.0, np.abs(exact).max())
             off = [np.abs(each - exact).max() for each in differences(sample, index, state, entry)]
             assert min(off) < LOOSE.get(law, LOOSE.get(name, 1e-8)) * scale, entry
@@ -198,6 +198,7 @@ def test_the_code_of_a_run_without_its_limit(name):
     bare = without_limits(given)
     own, shared = (traced_sample(bare, each, HELD) for each in (bare, given))
     changed = own.start + 1e-3 * np.random.default_rng(0).standard_normal(own.size)
-    for one, other in zip(own.derivative(3, changed), shared.derivative(3, changed), strict=True):
-        for expected, found in zip(one, other, strict=True):
-            np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+    every = np.eye(own.size + own.num_noise)
+    expected, found = (each.derivative(3, changed, None, every) for each in (own, shared))
+    for one, other in zip(expected, found, strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-12, atol=1e-12)

@@ -283,7 +283,7 @@ class _Axis:
             return 0.5 * np.log(square) + price * effort + _BEYOND * beyond
 
         simplex = np.vstack([start, *(start + step for step in 0.5 * np.eye(start.size))])
-        found: np.ndarray = fmin(
+        return fmin(
             objective,
             start,
             xtol=0.02,
@@ -292,7 +292,6 @@ class _Axis:
             initial_simplex=simplex,
             disp=False,
         )
-        return found
 
 
 def eta_range(scenario: Scenario, masses: list[float]) -> np.ndarray:

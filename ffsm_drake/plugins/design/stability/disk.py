@@ -97,8 +97,7 @@ def _grid(loop: LinearLoop) -> np.ndarray:
     poles = loop.poles[np.abs(loop.poles) > 1e-6]
     own = np.abs(np.angle(poles)) / loop.sample_time
     grid = np.concatenate([np.geomspace(1e-4 * highest, highest, _FREQUENCIES), own[own > 0.0]])
-    found: np.ndarray = np.unique(np.minimum(grid, highest))
-    return found
+    return np.unique(np.minimum(grid, highest))
 
 
 def _sensitivity(loop: LinearLoop, w: float, driven: np.ndarray, delay: int) -> np.ndarray:
@@ -110,8 +109,7 @@ def _sensitivity(loop: LinearLoop, w: float, driven: np.ndarray, delay: int) -> 
     columns, rows = sample.b[:, push][:, driven], sample.c[driven]
     response = np.linalg.solve(z * np.eye(len(sample.a)) - sample.a, columns)
     force = rows @ response + sample.d[driven][:, push][:, driven]
-    sensitivity: np.ndarray = np.eye(len(rows)) + z ** (-delay) * force
-    return sensitivity
+    return np.eye(len(rows)) + z ** (-delay) * force
 
 
 def _largest_norm(matrices: np.ndarray) -> float:

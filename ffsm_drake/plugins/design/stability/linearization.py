@@ -228,7 +228,7 @@ class Linearizer:
         count = self.scenario.num_control_periods if samples is None else samples
         nv, period = len(self.coordinates.names), self.scenario.sample_time
         states, force = np.full((count, nv + 1), np.nan), np.full((count, nv), np.nan)
-        desired = self.motion.rows(np.arange(count) * period)[:, : nv + 1]
+        desired, _, _ = self.motion.evaluate(np.arange(count) * period)
         loop, held = self._loop, held or {}
         try:
             with guarded, np.errstate(all="ignore"):
@@ -290,8 +290,7 @@ class Linearizer:
         """The velocity of a state beside the plan's at a control sample (nv)."""
         known, nq = self._loop.known(state), len(self.coordinates.position_names)
         planned = self.motion.row(index * self.scenario.sample_time)[: known.size]
-        velocity: np.ndarray = known[nq:] - planned[nq:]
-        return velocity
+        return known[nq:] - planned[nq:]
 
     @functools.cached_property
     def planned(self) -> PlannedDynamics:

@@ -127,8 +127,7 @@ def _motion_peak(planned: PlannedDynamics) -> np.ndarray:
     end = min(planned.motion.end, planned.scenario.duration)
     begin = min(_TRANSIENT, 0.5 * end) if planned.scenario.grasps else 0.0
     _, force = planned.perfect_tracking(np.linspace(begin, end, _INSTANTS))
-    peak: np.ndarray = np.abs(force).max(axis=0)
-    return peak
+    return np.abs(force).max(axis=0)
 
 
 def _slower(scenario: Scenario, groups: Mapping[str, GroupLoad]) -> Advice | None:

@@ -167,10 +167,9 @@ def chain_growth(linearizer: Linearizer) -> str:
     if not is_chain or linearizer.law is None or not loop.unit_poles:
         return ""
     end = linearizer.motion.evaluate(linearizer.end)[0]
-    told: str = service("closed_chain_growth", "contacts")(
+    return service("closed_chain_growth", "contacts")(
         linearizer.scenario, linearizer.law, end, grip, loop.unit_poles
     )
-    return told
 
 
 def _at_larger_gains(

@@ -81,15 +81,13 @@ class MotionStability:
     def rates(self) -> np.ndarray:
         """ln rho / L (n), 1/s."""
         radius = np.array([loop.spectral_radius for loop in self.loops])
-        rates: np.ndarray = np.log(np.maximum(radius, 1e-300)) / self.loops[0].sample_time
-        return rates
+        return np.log(np.maximum(radius, 1e-300)) / self.loops[0].sample_time
 
     @property
     def rate_bounds(self) -> np.ndarray:
         """The rates of ``growth_bound`` (n - 1), 1/s."""
         rates = self.rates
-        bounds: np.ndarray = np.maximum(rates[1:], rates[:-1]) + np.abs(np.diff(rates))
-        return bounds
+        return np.maximum(rates[1:], rates[:-1]) + np.abs(np.diff(rates))
 
     def _growth(self, rate_at: Callable[[np.ndarray], np.ndarray]) -> float:
         if not np.isfinite(self.rates).all():

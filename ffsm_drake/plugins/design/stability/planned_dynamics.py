@@ -88,8 +88,7 @@ class PlannedDynamics:
         inverse = inverse[:, self.coordinates.driven]
         rounding, change = 1e-6 * inverse[1:-1], np.diff(inverse, axis=0)
         peaks = (change[:-1] > rounding) & (change[1:] < -rounding)
-        found: list[float] = times[1:-1][peaks.any(axis=1)].tolist()
-        return found
+        return times[1:-1][peaks.any(axis=1)].tolist()
 
     def perfect_tracking(
         self, times: np.ndarray, *, friction: bool = False
@@ -101,8 +100,7 @@ class PlannedDynamics:
         Returns: both (n, nv), rad/s^2 or m/s^2, and N m or N.
         """
         scenario, coordinates = self.scenario, self.coordinates
-        nq, nv = len(coordinates.position_names), len(coordinates.names)
-        q, v, a = np.split(self.motion.rows(times), [nq, nq + nv], axis=1)
+        q, v, a = self.motion.evaluate(times)
         disturbance = force_at(times[:, None], sines_of(scenario.disturbance, coordinates))
         force = self.locked.calc_inverse_dynamics(q, v, a) - disturbance
         if friction and scenario.drives is not None:

@@ -72,8 +72,7 @@ class SampledLoop:
 
     def known(self, state: np.ndarray) -> np.ndarray:
         """[q; v] of the plant."""
-        found: np.ndarray = state[self.sample.known]
-        return found
+        return state[self.sample.known]
 
     def has_diverged(self, state: np.ndarray) -> bool:
         """Whether the plant moves as no motion does, or its state is none."""
@@ -151,24 +150,12 @@ class SampledLoop:
         return period_of(self.sample, index, state, follow=follow, directions=directions)
 
     def _map(self, index: int, state: np.ndarray, truth: MassProperties | None) -> SampleMap:
-        after, of_state, of_force = self._slopes(index, state, self.directions(state, truth), truth)
+        directions = self.directions(state, truth)
+        after, of_state, of_force = self.sample.derivative(index, state, truth, directions)
         both, n = self._small_change(after) @ of_state, self.size
         if not self.tracks_frame:
             both[self._undriven, self._undriven] = 1.0  # their drift adds up
         return SampleMap(a=both[:, :n], b=both[:, n:], c=of_force[:, :n], d=of_force[:, n:])
-
-    def _slopes(
-        self, index: int, state: np.ndarray, enter: np.ndarray, truth: MassProperties | None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The state before the next sample, and derivatives of it and of the force by directions of
-        the state and the noise (n + m, k).
-        """
-        if self.is_exact:
-            after, exact = self.sample.derivative(index, state, truth)
-            return after, exact.state @ enter, exact.force @ enter
-        found: tuple[np.ndarray, np.ndarray, np.ndarray]
-        found = self.sample.derivative(index, state, truth, enter)
-        return found
 
     def directions(self, state: np.ndarray, truth: MassProperties | None = None) -> np.ndarray:
         """Derivative of a state and the noise (n + m) by the small change of the state, which turns
@@ -203,8 +190,7 @@ class SampledLoop:
         x = state[: plant.num_multibody_states()]
         plant.SetPositionsAndVelocities(context, InitializeAutoDiff(x)[:, 0])
         momentum = plant.CalcSpatialMomentumInWorldAboutPoint(context, np.zeros(3))
-        found: np.ndarray = ExtractGradient(momentum.get_coeffs())
-        return found
+        return ExtractGradient(momentum.get_coeffs())
 
     def _small_change(self, state: np.ndarray) -> np.ndarray:
         """Derivative of the small change of a state by the state."""
