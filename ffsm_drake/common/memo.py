@@ -15,7 +15,9 @@ R = TypeVar("R")
 _LEAVES = (str, bytes, int, type(None), type, enum.Enum)
 
 
-def memoized(*, maxsize: int, besides: str = "") -> Callable[[Callable[P, R]], Callable[P, R]]:
+def memoized(
+    *, maxsize: int, besides: str = "", files: Callable[[Any], Any] | None = None
+) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator that caches results by the content of the arguments (``content_of``).
 
     Every caller gets its own lists, mappings, sets and dataclasses, and read-only arrays; other
@@ -24,6 +26,7 @@ def memoized(*, maxsize: int, besides: str = "") -> Callable[[Callable[P, R]], C
     Args:
       maxsize: number of results to keep; the least recently used one is dropped.
       besides: a keyword argument that is not part of the key, because it follows from the others.
+      files: the first argument -> the files (``Path``) that a result depends on; default: none.
     """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
@@ -34,7 +37,8 @@ def memoized(*, maxsize: int, besides: str = "") -> Callable[[Callable[P, R]], C
         @functools.wraps(function)
         def memo(*args: P.args, **kwargs: P.kwargs) -> R:
             keyed = {name: value for name, value in kwargs.items() if name != besides}
-            call = _Call(content_of((args, keyed)), args, kwargs)
+            read = None if files is None else files(args[0])
+            call = _Call(content_of((args, keyed, read)), args, kwargs)
             result: R = _mapped(kept(call), np.ndarray.view)
             return result
 

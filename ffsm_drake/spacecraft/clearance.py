@@ -18,7 +18,6 @@ that body is checked in the rest position.
 import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 from pydrake.geometry import Mesh, Role, Shape
@@ -378,14 +377,13 @@ def shapes_of(scenario: Scenario, *, apart: bool = False) -> Clearance:
     target is not grasped yet.
     """
     model, hands = scenario.model, tuple(each.effector for each in scenario.contacts.values())
-    return _loaded(model, model_files(model), scenario.payload.body if apart else None, hands)
+    return _loaded(model, scenario.payload.body if apart else None, hands)
 
 
-@memoized(maxsize=4)  # called after every run of a campaign; loading is slow
-def _loaded(
-    model: Model, files: tuple[Path, ...], apart: str | None, hands: tuple[str, ...]
-) -> Clearance:
-    """Return the shapes of a model; ``files`` are part of the key."""
+# called after every run of a campaign; loading is slow
+@memoized(maxsize=4, files=model_files)
+def _loaded(model: Model, apart: str | None, hands: tuple[str, ...]) -> Clearance:
+    """Return the shapes of a model."""
     if apart is None:
         return Clearance(model, flexible=True, hands=hands)
     return ApproachClearance(model, apart, flexible=True, hands=hands)

@@ -4,7 +4,6 @@ import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, ClassVar, TypeVar, cast
 
 import numpy as np
@@ -284,7 +283,7 @@ def make_flexible_plant(scenario: Scenario, grip: Grip = HELD) -> PlantModel:
 def _make(
     scenario: Scenario, grip: Grip, *, nominal: bool = False, flexible: bool = False
 ) -> PlantModel:
-    plant = _parsed(scenario.model, model_files(scenario.model), flexible=flexible)
+    plant = _parsed(scenario.model, flexible=flexible)
     context = plant.CreateDefaultContext()
     payload = grip.carried(scenario.payload)
     properties = payload.nominal if nominal else payload.truth
@@ -293,9 +292,10 @@ def _make(
     return PlantModel(plant=plant, context=context, coordinates=coordinates, split=split, grip=grip)
 
 
-@memoized(maxsize=8)  # parsing takes four times as long as a context with its masses
-def _parsed(model: Model, files: tuple[Path, ...], *, flexible: bool) -> MultibodyPlant:
-    """``make_plant``, shared by models with a context each; parsed again once ``files`` change."""
+# parsing takes four times as long as a context with its masses
+@memoized(maxsize=8, files=model_files)
+def _parsed(model: Model, *, flexible: bool) -> MultibodyPlant:
+    """``make_plant``, shared by models with a context each; parsed again once its files change."""
     return make_plant(model, flexible=flexible)
 
 

@@ -40,7 +40,8 @@ def _drawn(seed):
 
 
 def _gains_of(scenario, grip):
-    return tvlqr._gains_of(dataclasses.replace(scenario, controller="tvlqr"), grip, {}, ())[:3]
+    scenario = dataclasses.replace(scenario, controller="tvlqr")
+    return tvlqr._gains_of(scenario, grip, *np.ones((3, 11)))[:3]
 
 
 def _gains_along(scenario, grip):
@@ -52,7 +53,7 @@ def _gains_along(scenario, grip):
         "bias_walk": 0.0 * noise,
     }
     axes = np.array([0, 1, 2, 6, 7, 8, 9, 10])
-    return estimators._gains_along(planned_part(scenario), grip, (), axes=axes, **noises)[1][:1]
+    return estimators._gains_along(planned_part(scenario), grip, axes=axes, **noises)[1][:1]
 
 
 def _case_of(scenario, grip):

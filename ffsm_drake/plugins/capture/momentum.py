@@ -8,7 +8,6 @@ and linear momentum makes it drift.
 import dataclasses
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -104,12 +103,13 @@ def momentum_budget(scenario: Scenario) -> MomentumBudget | None:
     """
     if scenario.capture is None:
         return None
-    return _budget_of(planned_part(scenario), files_read(scenario))
+    return _budget_of(planned_part(scenario))
 
 
-@memoized(maxsize=16)  # a run's check, its record and its report ask for the same
-def _budget_of(scenario: Scenario, files: tuple[Path, ...]) -> MomentumBudget:
-    """The budget of a scenario whose model and plan are made from ``files``."""
+# a run's check, its record and its report ask for the same
+@memoized(maxsize=16, files=files_read)
+def _budget_of(scenario: Scenario) -> MomentumBudget:
+    """The budget of a scenario."""
     accepted = (scenario.capture or Capture()).accepted_drift or {}
     model = make_nominal_plant(scenario)
     contact = planned_contact(scenario, model)

@@ -6,7 +6,6 @@ The URDF's limits are not enforced; ``actuation.limit`` saturates the force.
 import dataclasses
 import functools
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -186,12 +185,13 @@ def plan_clearance(scenario: Scenario) -> list[Closest]:
     """
     if scenario.blocks.reference is not None:
         return []
-    return _plan_clearance_of(planned_part(scenario, with_target=True), files_read(scenario))
+    return _plan_clearance_of(planned_part(scenario, with_target=True))
 
 
-@memoized(maxsize=64)  # a run, its report and the next run of the same plan ask for the same
-def _plan_clearance_of(scenario: Scenario, files: tuple[Path, ...]) -> list[Closest]:
-    """``plan_clearance`` of a scenario; ``files`` are part of the key."""
+# a run, its report and the next run of the same plan ask for the same
+@memoized(maxsize=64, files=files_read)
+def _plan_clearance_of(scenario: Scenario) -> list[Closest]:
+    """``plan_clearance`` of a scenario."""
     model = make_nominal_plant(scenario)
     motion = make_motion(scenario, model.coordinates)
     found: list[Closest] = []

@@ -10,7 +10,6 @@ mildest sufficient change of each kind is reported. Saturated base actuators hav
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from ffsm_drake.common.errors import FfsmError
@@ -50,13 +49,13 @@ def remedies(scenario: Scenario, *, fails: bool) -> tuple[Advice, ...]:
     try:
         if posture_limits(scenario):
             return ()
-        return _found(scenario, fails, tuple(files_read(scenario)))
+        return _found(scenario, fails)
     except FfsmError:  # the loop cannot be linearised or built
         return ()
 
 
-@memoized(maxsize=8)  # a run, its report and the verdict ask for the same
-def _found(scenario: Scenario, fails: bool, files: tuple[Path, ...]) -> tuple[Advice, ...]:
+@memoized(maxsize=8, files=files_read)  # a run, its report and the verdict ask for the same
+def _found(scenario: Scenario, fails: bool) -> tuple[Advice, ...]:
     scenario = complete_gains(scenario)
     legs = [leg for leg in linear_verdict(scenario).legs if leg.status == "unstable"]
     if legs:

@@ -32,7 +32,6 @@ import dataclasses
 import functools
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import ClassVar, Self
 
 import numpy as np
@@ -310,7 +309,6 @@ class CoupledEstimator(Estimator):
         postures, gain = _gains_along(
             planned_part(scenario),
             grip,
-            files_read(scenario),
             axes=axes,
             position_noise=position[axes],
             velocity_noise=velocity[axes],
@@ -439,11 +437,11 @@ def _axes(scenario: Scenario, coordinates: Coordinates) -> list[SensedAxis]:
     ]
 
 
-@memoized(maxsize=16)  # a run's check, the run and its report make the same law
+# a run's check, the run and its report make the same law
+@memoized(maxsize=16, files=files_read)
 def _gains_along(
     scenario: Scenario,
     grip: Grip,
-    files: tuple[Path, ...],
     *,
     axes: np.ndarray,
     **noises: np.ndarray,
@@ -454,8 +452,7 @@ def _gains_along(
     inertias of neighbours stay within ``_NEIGHBOURS``, if ``_MOST_POSTURES`` are enough.
 
     Args:
-      scenario: its model and plan are made from ``files``.
-      files: files of model and plan, for the cache.
+      scenario: with its model and plan.
       axes, noises: arguments of ``coupled_gain``.
     """
     model = driven_model(make_nominal_plant(scenario, grip))

@@ -12,7 +12,6 @@ arm's joints, with the position, velocity and acceleration of the chain's motion
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ from ffsm_drake.scenario import Reference, Scenario
 from ffsm_drake.scenario.contacts import ALL_HANDS, closing_times
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
-from ffsm_drake.spacecraft.plant import configuration, find_body, model_files
+from ffsm_drake.spacecraft.plant import configuration, files_read, find_body
 from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -70,7 +69,7 @@ class ChainMotion(PlannedMotion):
             reference=scenario.reference if self._in_time else Reference(),
         )
         end = motion.end if self._in_time else 1.0
-        paths = _path(part, model_files(scenario.model), velocity, end)
+        paths = _path(part, velocity, end)
         (_, _, knots, values), *reaching = paths
         self._joints = BSpline(knots, values, k=5)
         self._rates = self._joints.derivative(), self._joints.derivative(2)
@@ -139,9 +138,9 @@ class _Reach:
         return found
 
 
-@memoized(maxsize=8)
+@memoized(maxsize=8, files=files_read)
 def _path(
-    scenario: Scenario, files: tuple[Path, ...], velocity: np.ndarray | None, end: float
+    scenario: Scenario, velocity: np.ndarray | None, end: float
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
     """Splines of fifth order, each as joints (indices in v), their positions at the start, knots
     and coefficients: of all joints, by the path parameter or with a velocity (nv) at the start by

@@ -138,7 +138,7 @@ def test_compiled_rehearsals_are_those_of_drake(seed, monkeypatch):
     share = share_diverged(scenario, seeds=FEW)
     with monkeypatch.context() as patch:
         patch.setattr(rehearsal, "_engine", lambda: None)
-        patch.setattr(rehearsal, "_shared", lambda *given: rehearsal._rehearsed(*given[:3]))
+        patch.setattr(rehearsal, "_shared", rehearsal._rehearsed)
         alike(compiled, rehearse(scenario, seeds=FEW))
         assert share_diverged(scenario, seeds=FEW) == share == compiled.share_diverged
         few = rehearse(scenario, seeds=16)

@@ -8,7 +8,6 @@ calls their law, there are only ``FEW``.
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -161,7 +160,7 @@ def rehearse(scenario: Scenario, *, seeds: int = SEEDS, on_drake: bool = True) -
     scenario = _alone(scenario)
     if user_supplied(scenario):
         return _rehearsed(scenario, seeds, on_drake)
-    return _shared(scenario, seeds, on_drake, tuple(files_read(scenario)))
+    return _shared(scenario, seeds, on_drake)
 
 
 def share_diverged(scenario: Scenario, *, seeds: int) -> float:
@@ -211,11 +210,9 @@ def _is_lost(ending: Ending) -> bool:
     return not ending.excess <= FAR
 
 
-@memoized(maxsize=4)  # the check before a run and its report use the same
-def _shared(
-    scenario: Scenario, seeds: int, on_drake: bool, files: tuple[Path, ...]
-) -> Rehearsal | None:
-    """``rehearse``; ``files`` are part of the key."""
+@memoized(maxsize=4, files=files_read)  # the check before a run and its report use the same
+def _shared(scenario: Scenario, seeds: int, on_drake: bool) -> Rehearsal | None:
+    """``rehearse``, with kept results."""
     return _rehearsed(scenario, seeds, on_drake)
 
 
