@@ -63,6 +63,16 @@ class Coordinates:
         return BASE_QUATERNION + BASE_POSITION + self.joints
 
     @functools.cached_property
+    def num_velocities(self) -> int:
+        """nv."""
+        return len(self.names)
+
+    @functools.cached_property
+    def num_positions(self) -> int:
+        """nq."""
+        return len(self.position_names)
+
+    @functools.cached_property
     def units(self) -> tuple[str, ...]:
         """Unit of each coordinate (nv): "rad" or "m"."""
         return ("rad",) * 3 + ("m",) * 3 + self.joint_units
@@ -118,6 +128,10 @@ class Coordinates:
                 key, f"gives no value for {some(missing)}; add them, their group, or 'all'"
             )
         return np.array(result, dtype=float)
+
+    def by_name(self, values: np.ndarray) -> dict[str, float]:
+        """Return a vector (nv) as a mapping by coordinate name."""
+        return dict(zip(self.names, values.tolist(), strict=True))
 
     def joint_vector(self, values: Mapping[str, float], *, key: str, default: float) -> np.ndarray:
         """Same as ``vector``, for joints only: keys are ``all`` or joint names. Raises

@@ -102,7 +102,7 @@ def urdf_limits(model: Model, plant: MultibodyPlant) -> list[Limit]:
       ModelError: a URDF cannot be read.
     """
     coordinates = coordinates_of(plant)
-    lower, upper, velocity, effort = np.full((4, len(coordinates.names)), np.inf)
+    lower, upper, velocity, effort = np.full((4, coordinates.num_velocities), np.inf)
     lower *= -1.0
     for i, name in enumerate(coordinates.joints, NUM_BASE_VELOCITIES):  # of other formats
         joint = plant.GetJointByName(name)

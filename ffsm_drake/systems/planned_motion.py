@@ -43,7 +43,7 @@ class PlannedMotion(abc.ABC):
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """q_d (..., nq), v_d (..., nv) and dv_d/dt (..., nv) at a time in s, or at times (n,)."""
-        nq, nv = len(self.coordinates.position_names), len(self.coordinates.names)
+        nq, nv = self.coordinates.num_positions, self.coordinates.num_velocities
         rows = self.rows(time) if isinstance(time, np.ndarray) else self.row(time).copy()
         q_d, v_d, a_d = np.split(rows, [nq, nq + nv], axis=-1)
         return q_d, v_d, a_d

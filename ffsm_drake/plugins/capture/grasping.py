@@ -136,7 +136,7 @@ class MadeGrasp(GraspLog):
             "angular_momentum": momentum[:3].tolist(),  # about the origin
             "spin": spin.tolist(),  # about the centre of mass
             "kinetic_energy": energy,  # J
-            "velocity": dict(zip(coordinates.names, velocity.tolist(), strict=True)),
+            "velocity": coordinates.by_name(velocity),
         }
 
 

@@ -339,9 +339,7 @@ def design_data(found: Design) -> dict[str, Any]:
             "spectral_radius": prediction.spectral_radius,
             "isv": prediction.isv,
             "rms_error": prediction.by_group(),
-            "peak_effort": dict(
-                zip(prediction.coordinates.names, prediction.peak_effort.tolist(), strict=True)
-            ),
+            "peak_effort": prediction.coordinates.by_name(prediction.peak_effort),
             "spectral_radius_by_payload_mass": {
                 f"{mass:g}": radius for mass, radius in point.radius_by_mass.items()
             },

@@ -381,7 +381,7 @@ def _make(
         servicer=servicer,
         scenario_file=file,
         scenario=scenario,
-        peak_force=dict(zip(draft.coordinates.names, forces.tolist(), strict=True)),
+        peak_force=draft.coordinates.by_name(forces),
         margins=draft.margins,
         side=given.side,
         remarks=(*servicer.remarks, *left_out, *draft.remarks),

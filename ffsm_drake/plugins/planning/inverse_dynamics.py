@@ -127,7 +127,7 @@ class FreeDynamics:
     def __init__(self, dynamics: InverseDynamics, coordinates: Coordinates) -> None:
         """Args: of all coordinates; which there are."""
         self._dynamics, self._driven = dynamics, coordinates.driven
-        self._size = len(coordinates.names)
+        self._size = coordinates.num_velocities
         self.turns = not coordinates.is_driven[0]  # whether the base's rotation follows
 
     def calc(self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> np.ndarray:

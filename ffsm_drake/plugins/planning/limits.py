@@ -116,7 +116,7 @@ def margins(
       impulse: (nv,).
     """
     coordinates = model.coordinates
-    num_positions = len(coordinates.position_names)
+    num_positions = coordinates.num_positions
     found = []
     for i, (name, unit) in enumerate(zip(coordinates.names, coordinates.units, strict=True)):
         force_unit = "N m" if unit == "rad" else "N"

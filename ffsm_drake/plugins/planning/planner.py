@@ -317,7 +317,7 @@ class _Planner:
     def _evaluated(self, plan: Plan) -> PlannedMotionReport:
         """Cost and limits of a plan, between the solver's instants too."""
         model, limits, times = self._model, self._limits, plan.instants(_FINE)
-        size = len(model.coordinates.names)
+        size = model.coordinates.num_velocities
         if model.coordinates.undriven:
             sample_time = self._scenario.sample_time
             planned = PathMotion(plan, coordinates=model.coordinates, sample_time=sample_time)

@@ -85,14 +85,14 @@ class ContactFlow(Continuous):
     @property
     def inputs(self) -> Mapping[str, int]:
         """See Continuous."""
-        nv = len(self.model.coordinates.names)
+        nv = self.model.coordinates.num_velocities
         return {"state": 2 * nv + 1, "other_force": nv, "correction": self.num_corrections}
 
     @property
     def outputs(self) -> Mapping[str, int]:
         """See Continuous."""
         shown = ("contact_wrench", "contact_gap", "measured_wrench")
-        nv = len(self.model.coordinates.names)
+        nv = self.model.coordinates.num_velocities
         return {"generalized_force": nv} | dict.fromkeys(shown, 6 * len(self.loops))
 
     @property
@@ -129,7 +129,7 @@ class ContactFlow(Continuous):
 
     def _split(self, inputs: Arrays) -> Any:
         state = inputs["state"]
-        return np.split(state, [len(self.model.coordinates.position_names)])
+        return np.split(state, [self.model.coordinates.num_positions])
 
 
 def contact_flow(setup: BlockSetup) -> ContactFlow | None:

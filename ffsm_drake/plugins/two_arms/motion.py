@@ -56,7 +56,7 @@ class ChainMotion(PlannedMotion):
         if scenario.starts_moving:
             velocity = velocity_at_start(scenario, nominal)
         elif len(closings) > 1:
-            velocity = np.zeros(len(nominal.coordinates.names))
+            velocity = np.zeros(nominal.coordinates.num_velocities)
         self._in_time = velocity is not None
         part = dataclasses.replace(
             Scenario(),
@@ -94,7 +94,7 @@ class ChainMotion(PlannedMotion):
         else:
             s, ds, dds = self._blend.blend(times)
         by_s, by_ss = (rate(s) for rate in self._rates)
-        nq, nv = len(self.coordinates.position_names), len(self.coordinates.names)
+        nq, nv = self.coordinates.num_positions, self.coordinates.num_velocities
         n = nq - NUM_BASE_POSITIONS
         rows[:, nq - n : nq] = self._joints(s)
         rows[:, nq + nv - n : nq + nv] = ds[:, None] * by_s

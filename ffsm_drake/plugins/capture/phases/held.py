@@ -69,7 +69,7 @@ def _at_rest_in_gripper(now: Situation) -> Scenario:
         v_P,
         arm,
         servicer="given",
-        servicer_velocity=dict(zip(model.coordinates.names, v.tolist(), strict=True)),
+        servicer_velocity=model.coordinates.by_name(v),
         approach=given_approach(scenario),
     )
     scenario = dataclasses.replace(

@@ -518,14 +518,14 @@ def _boundaries(scenario: Scenario) -> tuple[Boundaries, float]:
 def _room(scenario: Scenario, demand: Demand) -> np.ndarray:
     """``Requirement.room``; a motion that takes more than half of a limit counts as half."""
     if not is_rehearsed(scenario):
-        return np.full(len(demand.coordinates.names), np.inf)
+        return np.full(demand.coordinates.num_velocities, np.inf)
     limit = actuation_limit(scenario, demand.coordinates).upper
     motion = np.abs(demand.force[demand.times > _TRANSIENT]).max(axis=0, initial=0.0)
     return np.maximum(limit - motion, 0.5 * limit) / ROOM
 
 
 def _diverged(coordinates: Coordinates) -> Prediction:
-    values = np.full(len(coordinates.names), np.inf)
+    values = np.full(coordinates.num_velocities, np.inf)
     return Prediction(
         coordinates=coordinates,
         spectral_radius=math.inf,

@@ -101,7 +101,7 @@ def forecast_reaching_gain(
     """
     scenario = planned.scenario
     times = np.linspace(0.0, scenario.num_control_periods * scenario.sample_time, points)
-    size, gain = len(planned.coordinates.names), reaching_gain_of(law)
+    size, gain = planned.coordinates.num_velocities, reaching_gain_of(law)
     if gain is None or gain.rate is None:
         return times, np.tile(np.zeros(size) if gain is None else gain.start, (points, 1))
     switching = law.initial_state().get("switching_gain", np.zeros(size))

@@ -142,7 +142,7 @@ def _balanced_norm(matrix: np.ndarray, *, enough: float) -> float:
 
 def force_beside(setup: BlockSetup) -> Diagram:
     """A force that is white from sample to sample; no block receives it."""
-    builder, size, period = DiagramBuilder(), len(setup.coordinates.names), setup.sample_time
+    builder, size, period = DiagramBuilder(), setup.coordinates.num_velocities, setup.sample_time
     source = builder.AddNamedSystem(_PUSH, RandomSource(RandomDistribution.kGaussian, size, period))
     held = builder.AddNamedSystem("held", ZeroOrderHold(period, size))
     builder.Connect(source.get_output_port(), held.get_input_port())

@@ -202,7 +202,7 @@ class DrakeSample:
             moved = self._moved(index, np.concatenate([state[: self._plant], memory]), None)
             return np.concatenate([moved[: self._plant], memory]), moved[self._plant :]
 
-        unknown = np.full(self.size, np.nan), np.full(len(self.coordinates.names), np.nan)
+        unknown = np.full(self.size, np.nan), np.full(self.coordinates.num_velocities, np.nan)
         return self._unless_lost(state, advanced, unknown)
 
     def derivative(
@@ -242,7 +242,7 @@ class DrakeSample:
             after = np.concatenate([moved[:count], memory])
             return after, np.vstack([found[:count], of_memory]), found[count:]
 
-        nan = np.full((self.size + len(self.coordinates.names), directions.shape[1]), np.nan)
+        nan = np.full((self.size + self.coordinates.num_velocities, directions.shape[1]), np.nan)
         unknown = np.full(self.size, np.nan), nan[: self.size], nan[self.size :]
         return self._unless_lost(state, differenced, unknown)
 

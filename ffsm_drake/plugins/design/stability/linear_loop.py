@@ -95,7 +95,7 @@ class LinearLoop:
 
     @property
     def _plant_size(self) -> int:
-        return 2 * (len(self.coordinates.names) + len(self.hidden))
+        return 2 * (self.coordinates.num_velocities + len(self.hidden))
 
     @functools.cached_property
     def poles(self) -> np.ndarray:
@@ -192,7 +192,7 @@ class LinearLoop:
         Keys ``error`` (rad, m), ``error_rate`` (per s) and ``force`` (N m, N); ``sliding_variable``
         (after a sample's update) where the controller has one.
         """
-        nv = len(self.coordinates.names)
+        nv = self.coordinates.num_velocities
         if not np.isfinite(self.poles).all():
             return {name: np.full(nv, np.inf) for name in ("error", "error_rate", "force")}
         with np.errstate(over="ignore", invalid="ignore"):  # growing loops
@@ -204,7 +204,7 @@ class LinearLoop:
 
     def _variances(self, samples: int) -> dict[str, np.ndarray]:
         """The squares of ``noise_response``; not finite where the loop overflows."""
-        nv = len(self.coordinates.names)
+        nv = self.coordinates.num_velocities
         noisy = sum(np.abs(sample.b).sum(axis=1) for sample in set(self.samples)) > 0.0
         keep = self._matters(noisy)
         keep[: self._plant_size] = True  # undriven coordinates too, which drift

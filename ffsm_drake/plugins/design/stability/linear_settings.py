@@ -54,7 +54,7 @@ def smooth_sensing(scenario: Scenario) -> Sensing:
             names.vector(getattr(sensing, key), key=f"sensing.{key}", default=0.0)
             for key in (f"{part}_noise", f"{part}_quantization")
         )
-        return dict(zip(names.names, np.hypot(sigma, step / math.sqrt(12.0)).tolist(), strict=True))
+        return names.by_name(np.hypot(sigma, step / math.sqrt(12.0)))
 
     return dataclasses.replace(
         sensing,
@@ -68,9 +68,9 @@ def smooth_sensing(scenario: Scenario) -> Sensing:
 def _with_assumptions(scenario: Scenario) -> Estimator:
     """The estimator with the noises that it takes from the sensors written out."""
     coordinates = make_nominal_plant(scenario).coordinates
-    position, velocity = (noise.tolist() for noise in assumed_noise(scenario, coordinates))
+    position, velocity = assumed_noise(scenario, coordinates)
     return dataclasses.replace(
         scenario.estimator,
-        position_noise=dict(zip(coordinates.names, position, strict=True)),
-        velocity_noise=dict(zip(coordinates.names, velocity, strict=True)),
+        position_noise=coordinates.by_name(position),
+        velocity_noise=coordinates.by_name(velocity),
     )

@@ -226,7 +226,7 @@ class Linearizer:
           samples: number from the start; None: all.
         """
         count = self.scenario.num_control_periods if samples is None else samples
-        nv, period = len(self.coordinates.names), self.scenario.sample_time
+        nv, period = self.coordinates.num_velocities, self.scenario.sample_time
         states, force = np.full((count, nv + 1), np.nan), np.full((count, nv), np.nan)
         desired, _, _ = self.motion.evaluate(np.arange(count) * period)
         loop, held = self._loop, held or {}
@@ -288,7 +288,7 @@ class Linearizer:
 
     def _off_plan(self, index: int, state: np.ndarray) -> np.ndarray:
         """The velocity of a state beside the plan's at a control sample (nv)."""
-        known, nq = self._loop.known(state), len(self.coordinates.position_names)
+        known, nq = self._loop.known(state), self.coordinates.num_positions
         planned = self.motion.row(index * self.scenario.sample_time)[: known.size]
         return known[nq:] - planned[nq:]
 

@@ -42,7 +42,7 @@ class SampledLoop:
         self.user_supplied: Sequence[Any] = getattr(sample, "user_supplied", ())
         self.noise, self.num_noise = sample.noise, int(sample.num_noise)
         self._undriven = np.flatnonzero(~self.coordinates.is_driven)
-        self._positions = len(self.coordinates.position_names)
+        self._positions = self.coordinates.num_positions
         # rates at constant momentum
         self._following = np.array(sample.known)[self._positions + self._undriven]
         plant = [*sample.known, *sample.hidden]
@@ -124,7 +124,7 @@ class SampledLoop:
         if self._users_period is None and not self.has_diverged(state):
             self._users_period = self._find_users_period(index, state, held)
         if (own := self._users_period) is None or not np.isfinite(state).all():
-            forces, count = len(self.coordinates.names), self.num_noise
+            forces, count = self.coordinates.num_velocities, self.num_noise
             shapes = {"a": (self.size, self.size), "b": (self.size, count)}
             shapes |= {"c": (forces, self.size), "d": (forces, count)}
             return (SampleMap(**{name: np.full(each, np.nan) for name, each in shapes.items()}),)
