@@ -1,6 +1,6 @@
 """A URDF put together from bodies and joints."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.math import RigidTransform
 
-from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, name_of
+from ffsm_drake.plugins.new.urdf.elements import WORLD, end_of, listed, name_of
 from ffsm_drake.spacecraft.checked_urdf import DRAKE, require
 
 _ZERO = 1e-14  # relative; products of inertia below it come from rounding
@@ -90,6 +90,11 @@ def add_joint(
     return joint
 
 
+def add_mimic(joint: Element, leader: str, multiplier: float, offset: float) -> None:
+    """Let a joint follow another: at multiplier x + offset, rad or m."""
+    SubElement(joint, "mimic", joint=leader, multiplier=text(multiplier), offset=text(offset))
+
+
 def add_rotor(root: Element, joint: str, inertia: float) -> None:
     """Add the inertia of a drive's rotor (kg m^2 or kg) to a joint, in Drake's form."""
     transmission = SubElement(root, "transmission", name=f"{joint}_transmission")
@@ -117,8 +122,14 @@ def color_visual(visual: Element, name: str, rgba: str) -> None:
     SubElement(SubElement(visual, "material", name=name), "color", rgba=rgba)
 
 
-def keep_servicer(root: Element) -> list[str]:
-    """Remove the bodies that are not on a free body with moving joints; return the names of their
+def passed_over(parts: list[str]) -> Iterator[str]:
+    """A remark on parts of a file, if there are any."""
+    if parts:
+        yield f"passed over, of no effect in free flight: {', '.join(parts)}"
+
+
+def keep_servicer(root: Element) -> Iterator[str]:
+    """Remove the bodies that are not on a free body with moving joints; yield a remark on their
     roots.
 
     If no free body has moving joints, bodies held by the world stay.
@@ -145,7 +156,8 @@ def keep_servicer(root: Element) -> list[str]:
             root.remove(links[name])
             if name in joints:
                 root.remove(joints[name])
-    return list(lone)
+    if lone:
+        yield f"bodies left out, which are not part of the servicer: {listed([*lone])}"
 
 
 def without_pictures(root: Element) -> str:

@@ -19,8 +19,10 @@ from ffsm_drake.plugins.new.urdf.formats.building import (
     add_frame,
     add_joint,
     add_link,
+    add_mimic,
     add_visual,
     keep_servicer,
+    passed_over,
     text,
 )
 from ffsm_drake.plugins.new.urdf.formats.mjcf_drives import Efforts, rotors
@@ -53,16 +55,11 @@ def read_mjcf(path: Path, packages: Mapping[str, Path]) -> tuple[Element, list[s
     faults = [*reader.faults()]
     require(not faults, "has what cannot be simulated here: " + "; ".join(faults))
     root = reader.root(spec.modelname or "servicer")
-    lone = keep_servicer(root)
     passed = [
         *reader.passed_over(),
         *([f"missing files ({listed(missing)})"] if missing else []),
     ]
-    remarks = [f"passed over, of no effect in free flight: {', '.join(passed)}"] if passed else []
-    remarks += reader.one_sided()
-    if lone:
-        remarks.append(f"bodies left out, which are not part of the servicer: {listed(lone)}")
-    return root, remarks
+    return root, [*passed_over(passed), *reader.one_sided(), *keep_servicer(root)]
 
 
 class _Reader:
@@ -242,11 +239,7 @@ class _Reader:
         )  # fmt: skip
         for k in np.flatnonzero(m.eq_active0).tolist():
             if (tie := self._follower(k)) and tie[0] == joint:
-                _, leader, multiplier, offset = tie
-                SubElement(
-                    element, "mimic", joint=self._name("joint", leader),
-                    multiplier=text(multiplier), offset=text(offset),
-                )  # fmt: skip
+                add_mimic(element, self._name("joint", tie[1]), *tie[2:])
 
     def _add_shape(self, link: Element, shape: int) -> None:
         m, (radius, half, *_) = self.m, self.m.geom_size[shape]

@@ -17,13 +17,14 @@ from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 
 from ffsm_drake.common.errors import one_line
 from ffsm_drake.common.numbers import counted
-from ffsm_drake.plugins.new.urdf.elements import WORLD, listed, name_of
+from ffsm_drake.plugins.new.urdf.elements import WORLD, name_of
 from ffsm_drake.plugins.new.urdf.formats.building import (
     add_frame,
     add_joint,
     add_link,
+    add_mimic,
     keep_servicer,
-    text,
+    passed_over,
 )
 from ffsm_drake.plugins.new.urdf.formats.located import (
     Lines,
@@ -50,7 +51,7 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     """The URDF of an SDFormat file, and remarks. Raises ModelError: Drake cannot read it, or parts
     of it cannot be represented.
     """
-    passed, frictions = Counter[str](), dict[str, float]()
+    passed, frictions, mimics = Counter[str](), dict[str, float](), dict[str, Element]()
 
     def read(file: Path) -> tuple[Element, Lines]:
         """A file ready for Drake."""
@@ -66,6 +67,10 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
         for joint in tree.iter("joint"):  # one name in several models: the largest
             friction = _value(joint, "axis/dynamics/friction")
             frictions[name_of(joint)] = max(friction, frictions.get(name_of(joint), 0.0))
+            for axis in joint.findall("axis"):
+                for mimic in axis.findall("mimic"):  # which Drake refuses in continuous time
+                    mimics[name_of(joint)] = mimic
+                    axis.remove(mimic)
         faults = Faults()
         _complete(tree, file.resolve().parent, faults)
         faults.raise_all()
@@ -75,13 +80,12 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     with tempfile.TemporaryDirectory() as folder:
         pictures = Pictures(packages, Path(folder), lambda file: read(file)[0])
         tree, lines = read(path)
-        mimics = dict(_take_mimics(tree))
-        plant, springs = _parsed(tree, lines[tree], path, packages, Path(folder))
+        plant = _parsed(tree, lines[tree], path, packages, Path(folder))
     root = Element("robot", name=next((m.get("name", "") for m in tree.iter("model")), "servicer"))
     frames = {frame.get("name", "") for frame in tree.iter("frame")} - pictures.visuals.keys()
-    faults = Faults(
-        [f"{counted(springs, 'spring')} at joints; set spring_stiffness to 0"] if springs else []
-    )
+    faults = Faults()
+    if springs := plant.num_force_elements() - 1:  # gravity is one
+        faults.append(f"{counted(springs, 'spring')} at joints; set spring_stiffness to 0")
     bodies = [plant.get_body(BodyIndex(k)) for k in range(1, plant.num_bodies())]
     names = _unique(plant, bodies)
     for body in bodies:
@@ -91,13 +95,13 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     unique = _unique(plant, joints)
     for joint in joints:
         with faults:
-            friction = frictions.get(joint.name(), 0.0)
-            _add_joint(root, unique[_scoped(plant, joint)], plant, joint, names, friction)
-    for follower, (leader, mimic) in mimics.items():
-        if follower in unique:
-            mimic.set("joint", unique.get(leader, leader))
-            place = f"joint[@name='{unique[follower]}']"
-            root.find(place).append(mimic)  # type: ignore[union-attr]
+            friction, scoped = frictions.get(joint.name(), 0.0), _scoped(plant, joint)
+            added = _add_joint(root, unique[scoped], plant, joint, names, friction)
+            if (mimic := mimics.get(joint.name())) is not None:
+                leader = scoped.removesuffix(joint.name()) + mimic.get("joint", "")
+                slope, zero = _value(mimic, "multiplier", 1.0), _value(mimic, "reference")
+                offset = _value(mimic, "offset") - slope * zero
+                add_mimic(added, unique.get(leader, leader), slope, offset)
     faults.raise_all()
     for instance in map(ModelInstanceIndex, range(plant.num_model_instances())):
         for frame in map(plant.get_frame, plant.GetFrameIndices(instance)):
@@ -107,28 +111,7 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     told = [
         f"<{tag}> ({counted(count, 'time')})" for tag, count in passed.items() if tag != "visual"
     ]
-    remarks = [f"passed over, of no effect in free flight: {', '.join(told)}"] if told else []
-    if lone := keep_servicer(root):
-        remarks.append(f"bodies left out, which are not part of the servicer: {listed(lone)}")
-    return root, remarks
-
-
-def _take_mimics(element: Element, scope: str = "") -> Iterator[tuple[str, tuple[str, Element]]]:
-    """Remove the <mimic> of each joint, which Drake refuses in continuous time.
-
-    Yields: the joint, its leader (scoped names), and the <mimic> of a URDF.
-    """
-    for child in element:
-        name = f"{scope}{child.get('name', '')}"
-        if child.tag in ("world", "model"):
-            yield from _take_mimics(child, f"{name}::" if child.tag == "model" else scope)
-        for axis in child.findall("axis") if child.tag == "joint" else ():
-            if (given := axis.find("mimic")) is not None:
-                axis.remove(given)
-                slope = _value(given, "multiplier", 1.0)
-                offset = _value(given, "offset") - slope * _value(given, "reference")
-                mimic = Element("mimic", multiplier=text(slope), offset=text(offset))
-                yield name, (f"{scope}{given.get('joint', '')}", mimic)
+    return root, [*passed_over(told), *keep_servicer(root)]
 
 
 def _scoped(plant: MultibodyPlant, element: Any) -> str:
@@ -203,10 +186,8 @@ def _complete(tree: Element, folder: Path, faults: Faults) -> None:
 
 def _parsed(
     tree: Element, line: int, path: Path, packages: Mapping[str, Path], folder: Path
-) -> tuple[MultibodyPlant, int]:
-    """Return Drake's reading of a file without its unused elements, with its root on a line, and
-    the number of springs.
-    """
+) -> MultibodyPlant:
+    """Return Drake's reading of a file without its unused elements, with its root on a line."""
     plant, told = MultibodyPlant(time_step=0.0), _Told()
     parser, log = Parser(plant), logging.getLogger("drake")
     for name, root in packages.items():
@@ -232,9 +213,8 @@ def _parsed(
     finally:
         log.removeHandler(told)
         log.propagate = before
-    faults = Faults(dict.fromkeys(told.texts))
-    faults.raise_all()
-    return plant, plant.num_force_elements() - 1  # gravity
+    Faults(told.texts).raise_all()
+    return plant
 
 
 class _Told(logging.Handler):
@@ -264,7 +244,7 @@ def _add_body(root: Element, name: str, body: Any) -> None:
 def _add_joint(
     root: Element, name: str, plant: MultibodyPlant, joint: Any, names: Mapping[str, str],
     friction: float,
-) -> None:  # fmt: skip
+) -> Element:  # fmt: skip
     """Add a joint, with an additional link if its frame is not the frame of the child."""
     kind = joint.type_name()
     known = ("revolute", "prismatic", "weld")
@@ -275,8 +255,7 @@ def _add_joint(
     pose = joint.frame_on_parent().GetFixedPoseInBodyFrame()
     onward = joint.frame_on_child().GetFixedPoseInBodyFrame().inverse()
     if kind == "weld":
-        add_joint(root, name, "fixed", (parent, child), pose @ joint.X_FM() @ onward)
-        return
+        return add_joint(root, name, "fixed", (parent, child), pose @ joint.X_FM() @ onward)
     limits = {
         "lower": float(joint.position_lower_limits()[0]),
         "upper": float(joint.position_upper_limits()[0]),
@@ -292,10 +271,11 @@ def _add_joint(
     if kind == "revolute" and not np.isfinite(limits["upper"] - limits["lower"]):
         kind = "continuous"
     between = child if onward.IsNearlyIdentity(1e-12) else f"{name}_axis"
-    add_joint(
+    added = add_joint(
         root, name, kind, (parent, between), pose, axis=axis, limits=limits, rotor=rotor,
         damping=joint.default_damping(), friction=friction,
     )  # fmt: skip
     if between != child:
         SubElement(root, "link", name=between)
         add_joint(root, f"{name}_fixed", "fixed", (between, child), onward)
+    return added
