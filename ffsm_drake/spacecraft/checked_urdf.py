@@ -18,6 +18,7 @@ from ffsm_drake.common.errors import ModelError, one_line
 from ffsm_drake.common.files import check_regular
 
 DRAKE = "{http://drake.mit.edu}"
+ElementTree.register_namespace("drake", DRAKE.strip("{}"))  # in texts of URDFs
 MAX_URDF = 50_000_000  # bytes
 MAX_LINKS = 300
 MAX_SHAPES = 5_000
@@ -83,7 +84,7 @@ _CHECKED = {
         ("lower", "upper", "effort", "velocity", f"{DRAKE}acceleration"), Numbers(math.inf)
     ),
     "dynamics": {"damping": _FACTOR, "friction": _FACTOR},
-    "rotor_inertia": {"value": Numbers(1e9, unit="kg m^2")},
+    "rotor_inertia": {"value": _MOMENT},
     "gear_ratio": {"value": _FACTOR},
 }
 
@@ -224,11 +225,11 @@ def check(root: Element) -> None:
     shapes = sum(1 for _ in root.iter("geometry"))
     require(shapes <= MAX_SHAPES, f"has {shapes} shapes; at most {MAX_SHAPES} are read")
     faults = Faults()
-    for part in (*parts, *root.findall("material")):
+    for part in (*parts, *root.findall("material"), *root.findall("transmission")):
         name, tag = part.get("name", ""), part.tag.removeprefix(DRAKE)
         with faults:
-            require(name, f"a <{tag}> has no name")
-            if tag != "material":
+            require(name or tag == "transmission", f"a <{tag}> has no name")
+            if part in parts:
                 _check_name(name, f"{tag} '{name[:_MAX_NAME]}'")
         for element in part.iter():
             faults += [f"{tag} '{name}': {problem}" for problem in _number_problems(element)]

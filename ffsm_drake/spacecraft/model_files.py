@@ -13,7 +13,6 @@ from ffsm_drake.common.errors import ModelError, one_line
 from ffsm_drake.common.files import check_regular
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.spacecraft.checked_urdf import (
-    DRAKE,
     Faults,
     check,
     check_directives,
@@ -121,7 +120,6 @@ def _mended(file: Path) -> str:
     for element in root.iter():
         if "://" not in (name := element.get("filename", "://")):
             element.set("filename", str((file.parent / name).absolute()))
-    ElementTree.register_namespace("drake", DRAKE.strip("{}"))
     return ElementTree.tostring(root, encoding="unicode")
 
 

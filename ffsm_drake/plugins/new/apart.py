@@ -10,13 +10,14 @@ import contextlib
 import fcntl
 import json
 import os
+import pkgutil
 import resource
 import select
 import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,13 +35,14 @@ _START = "from ffsm_drake.plugins.new.apart import serve; serve()"
 _SAID = 300  # characters of what a library wrote last
 
 
-def answer(task: str, **question: Any) -> Any:
-    """Return the result of a function of ``_tasks`` for arguments of plain data, from a separate
+def answer(task: Callable[..., Any], **question: Any) -> Any:
+    """Return the result of a function of a module for arguments of plain data, from a separate
     process.
 
     Raises ModelError: the error of the function, or how the process ended.
     """
-    request = {"task": task, "deadline": DEADLINE, "memory": MEMORY, "question": question}
+    name = f"{task.__module__}:{task.__name__}"
+    request = {"task": name, "deadline": DEADLINE, "memory": MEMORY, "question": question}
     with tempfile.TemporaryFile() as said:
         process = subprocess.Popen(
             [sys.executable, "-P", "-c", _START],
@@ -108,7 +110,7 @@ def serve() -> None:
             resource.setrlimit(kind, (most if hard < 0 else min(most, hard), hard))
     told: dict[str, Any]
     try:
-        told = {"answer": _tasks()[request["task"]](**request["question"])}
+        told = {"answer": pkgutil.resolve_name(request["task"])(**request["question"])}
     except FfsmError as error:
         told = {"error": str(error)}
     except MemoryError:
@@ -121,12 +123,6 @@ def serve() -> None:
     while line:
         line = line[os.write(out, line) :]
     os._exit(0)  # nothing of a library's own at its end
-
-
-def _tasks() -> dict[str, Any]:
-    from ffsm_drake.plugins.new.urdf.formats.converting import convert
-
-    return {"convert": convert, "try": _try}
 
 
 def _try(file: str, packages: Mapping[str, str]) -> None:
@@ -180,7 +176,7 @@ def _is_plain(file: Path) -> bool:
 @memoized(maxsize=64)  # plants are made many times
 def _trial(address: str, files: tuple[Path, ...], packages: Mapping[str, str]) -> str:
     try:
-        answer("try", file=address, packages=dict(packages))
+        answer(_try, file=address, packages=dict(packages))
     except ModelError as error:
         return str(error)
     return ""

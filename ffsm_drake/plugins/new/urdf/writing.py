@@ -75,7 +75,6 @@ def write_urdf(
         remarks.append(f"links without a picture drawn as plain bodies: {listed(drawn)}{ignored}")
     root.set("name", root.get("name") or "servicer")
     ElementTree.indent(root)
-    ElementTree.register_namespace("drake", DRAKE.strip("{}"))
     items = "".join(f"\n  - {remark}" for remark in remarks)
     comment = f"Made from {servicer.source.name} by 'ffsm new'.{items}".replace("--", "- -")
     parts = (

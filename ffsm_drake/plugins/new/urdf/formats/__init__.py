@@ -12,7 +12,7 @@ from xml.etree.ElementTree import Element
 
 from ffsm_drake.plugins.new.apart import answer
 from ffsm_drake.plugins.new.urdf.formats.building import without_pictures
-from ffsm_drake.plugins.new.urdf.formats.converting import check_depth
+from ffsm_drake.plugins.new.urdf.formats.converting import check_depth, convert
 from ffsm_drake.spacecraft.checked_urdf import check, header_of, read_xml, require
 from ffsm_drake.spacecraft.inertia import mend
 from ffsm_drake.spacecraft.model_files import files_of
@@ -55,7 +55,7 @@ def read_model(
         if root.tag == "mujoco":
             files_of(str(path), "its files", folders)
         found = answer(
-            "convert", path=str(path), packages=folders, arguments=dict(arguments),
+            convert, path=str(path), packages=folders, arguments=dict(arguments),
             is_xacro=is_xacro, trust=trust,
         )  # fmt: skip
         root, remarks = ElementTree.fromstring(found["urdf"]), found["remarks"]

@@ -165,5 +165,4 @@ def without_pictures(root: Element) -> str:
     for link in root.findall("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
-    ElementTree.register_namespace("drake", DRAKE.strip("{}"))
     return ElementTree.tostring(root, encoding="unicode")
