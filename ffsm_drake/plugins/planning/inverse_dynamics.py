@@ -27,7 +27,7 @@ from ffsm_drake.plugins.equations.equations import inverse_dynamics
 from ffsm_drake.plugins.equations.tree import Reader
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
-from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.spacecraft.nominal import PlantModel, damping_of
 from ffsm_drake.tape.arrays import inputs
 from ffsm_drake.tape.numbers import Tape
 from ffsm_drake.tape.programs import Program
@@ -83,26 +83,21 @@ class InverseDynamics:
             reader = Reader(model.plant)
         except NotCovered as error:
             raise ModelError(f"the motion cannot be planned: {error}") from error
-        self._tree = tree = reader.tree
-        self._own = reader.parameters(model.context)
+        tree, own = reader.tree, reader.parameters(model.context)
+        self.mass = model.plant.CalcTotalMass(model.context)  # kg
+        self._damping = damping_of(model.plant)[:, None]
         tape, nv = Tape(), tree.num_velocities
         joints, v, a = (
             inputs(tape, name, (size,))
             for name, size in (("joints", nv - NUM_BASE_VELOCITIES), ("v", nv), ("a", nv))
         )
         q = np.concatenate([_AT_ORIGIN, joints])
-        self._program = Program(tape, inverse_dynamics(tree, q, v, a, self._own))
+        self._program = Program(tape, inverse_dynamics(tree, q, v, a, own))
         self._first = first.matrix()
-
-    @property
-    def mass(self) -> float:
-        """Mass of the whole spacecraft, kg."""
-        bodies = range(len(self._tree.links) + 1)
-        return sum(self._own[self._tree.inertia_rows(body)][0] for body in bodies)
 
     def calc(self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
         """tau (nv, n), world axes, for z and its time derivatives (nv, n). Complex arrays pass."""
-        tree, own, joints = self._tree, self._own, slice(NUM_BASE_VELOCITIES, None)
+        joints = slice(NUM_BASE_VELOCITIES, None)
         turned, w, alpha = attitude_motion(z[:3], rate[:3], acceleration[:3])
         R_WB = np.einsum("ijn,jk->ikn", turned, self._first)
         base = np.array([[w, rate[3:6]], [alpha, acceleration[3:6]]])
@@ -111,11 +106,7 @@ class InverseDynamics:
         found = self._program.run(
             {"joints": z[joints], "v": [*v, *rate[joints]], "a": [*a, *acceleration[joints]]}
         )
-        for body, link in enumerate(tree.links, start=1):
-            found[link.velocity] = (
-                found[link.velocity] + own[tree.joint_rows(body)][0] * rate[link.velocity]
-            )
-        tau = np.array(found)
+        tau = np.array(found) + self._damping * rate
         on_base = tau[:NUM_BASE_VELOCITIES].reshape(2, 3, -1)
         tau[:NUM_BASE_VELOCITIES] = np.einsum("ijn,ajn->ain", R_WB, on_base).reshape(6, -1)
         return tau

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
+from scipy.interpolate import BPoly
 
 from ffsm_drake.common.errors import FfsmError, ScenarioError
 from ffsm_drake.common.numbers import short
@@ -24,6 +25,7 @@ from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_VELOCITIES,
     position_errors,
 )
+from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.spacecraft.start import velocity_at_start
@@ -134,11 +136,7 @@ class _Planner:
 
     def _momentum_of(self, q: np.ndarray, v: np.ndarray) -> float:
         """Angular momentum about the centre of mass, N m s."""
-        plant, context = self._model.plant, self._model.context
-        plant.SetPositionsAndVelocities(context, np.r_[q, v])
-        center = plant.CalcCenterOfMassPositionInWorld(context)
-        momentum = plant.CalcSpatialMomentumInWorldAboutPoint(context, center).rotational()
-        return float(np.linalg.norm(momentum))
+        return float(np.linalg.norm(free_floating(self._model, q).spin_map @ v))
 
     def check_momentum(self) -> None:
         """Raise ScenarioError if joints alone would have to remove angular momentum."""
@@ -234,21 +232,9 @@ class _Planner:
         best, least = np.empty(0), np.inf
         for duration in np.unique(np.clip(_DURATIONS * self._longest, *problem.durations)):
             first = self._rate[self._model.coordinates.driven] * duration
-            change = 0.5 * first if goal is None else goal - start
-
-            def curve(
-                share: np.ndarray, change: np.ndarray = change, first: np.ndarray = first
-            ) -> np.ndarray:
-                x = share[:, None]
-                return (
-                    start
-                    + first * x
-                    + (10 * change - 6 * first) * x**3
-                    + (8 * first - 15 * change) * x**4
-                    + (6 * change - 3 * first) * x**5
-                )
-
-            guess = problem.guess(curve, duration)
+            last = start + 0.5 * first if goal is None else goal
+            ends = [start, first, 0.0 * first], [last, 0.0 * first, 0.0 * first]
+            guess = problem.guess(BPoly.from_derivatives([0.0, 1.0], ends), duration)
             worst = problem.worst(guess)
             if worst < least:
                 best, least, taken = guess, worst, duration

@@ -370,16 +370,13 @@ class PlanningProgram:
         unknowns = given[: self._unknowns.size]
         if self._cache[0] == (key := unknowns.tobytes()):
             return self._cache[1:]
-        count, size = self._segment.size, self._size
+        count, size, calc = self._segment.size, self._size, self._dynamics.calc
         points, times = np.split(unknowns, [self._points.size])
         self._last_lengths = self._lengths_by @ times
         basis, change = self._basis_at(self._last_lengths)
         points = points.reshape(-1, size)[self._near]
         motion = np.einsum("oan,nas->osn", basis, points)
-        found, by = complex_step(self._dynamics.calc, motion)
-        own = np.zeros((3, size, size, count))
-        own[0] = np.eye(size)[..., None]
-        found, by = np.vstack([found, motion[0]]), np.concatenate([by, own], axis=1)
+        found, by = complex_step(lambda z, *rates: np.vstack([calc(z, *rates), z]), motion)
         by_points = np.einsum("omsn,oan->nasm", by, basis).reshape(count, -1, len(found))
         by_lengths = np.einsum("omsn,oadn,nas->ndm", by, change, points, optimize=True)
         both = np.zeros((count, len(found), unknowns.size))
