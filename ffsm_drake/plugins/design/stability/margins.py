@@ -3,8 +3,9 @@ adaptation.
 """
 
 import dataclasses
-import functools
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -275,28 +276,32 @@ def _axis_margins(
     law: TimeDelayControl, planned: PlannedDynamics, eta: np.ndarray, loop: LinearLoop
 ) -> AxisMargins:
     euler, etas = is_euler(planned.scenario), np.linspace(eta.min(), eta.max(), 9)
-    # Coordinates with the same loop have the same limits.
-    maps = [each.tobytes() for each in axis_loop(law, euler=euler).a]
 
-    @functools.cache
+    def by_axis(law: TimeDelayControl, limit: Callable[[int], Any]) -> np.ndarray:
+        """A limit of every coordinate; those with the same loop have the same."""
+        maps = [each.tobytes() for each in axis_loop(law, euler=euler).a]
+        found = {each: limit(maps.index(each)) for each in set(maps)}
+        return np.array([found[each] for each in maps])
+
     def k_s_limit(axis: int) -> float:
         return float(largest_stable_k_s(law, axis, eta=etas, euler=euler).min())
 
+    def limits(axis: int) -> tuple[float, ...]:
+        period = largest_sample_time(reached, axis, eta=etas, euler=euler).min()
+        return float(period), *tolerated_eta(reached, axis, euler=euler)
+
     times, k_s = forecast_reaching_gain(law, planned, loop)
-    gain, zero, has_gain = reaching_gain_of(law), np.zeros(len(maps)), law.reaching_gain is not None
-    limit = np.nan_to_num(np.array([k_s_limit(maps.index(each)) for each in maps]))
+    gain, zero, has_gain = (
+        reaching_gain_of(law),
+        np.zeros(k_s.shape[1]),
+        law.reaching_gain is not None,
+    )
+    limit = np.nan_to_num(by_axis(law, k_s_limit))
     reached = law
     if gain is not None and has_gain:
         within = np.isfinite(gain.largest) & (gain.largest <= limit)
         reached = law.with_reaching_gain(np.where(within, gain.largest, k_s.max(axis=0)))
-    own = [each.tobytes() for each in axis_loop(reached, euler=euler).a]
-
-    @functools.cache
-    def limits(axis: int) -> tuple[float, float, float]:
-        period = largest_sample_time(reached, axis, eta=etas, euler=euler).min()
-        return float(period), *tolerated_eta(reached, axis, euler=euler)
-
-    table = np.array([limits(own.index(each)) for each in own])
+    table = by_axis(reached, limits)
     return AxisMargins(
         law=law,
         euler=euler,

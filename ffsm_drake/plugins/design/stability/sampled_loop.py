@@ -52,11 +52,11 @@ class SampledLoop:
         # entries of the state that are the linear loop's from its fourth on
         self._attitude, self._kept = plant[:4], np.concatenate([plant[4:], rest]).astype(int)
         # entries of the linear loop's state, the plant's first
-        self.size, self._plant = 3 + self._kept.size, len(plant) - 1
+        self.size, self.plant_size = 3 + self._kept.size, len(plant) - 1
         self.parts_of_memory = dict[str, slice]()
         for name, part in sample.memory.items():
             if name not in sample.held:
-                begin = self._plant + int(np.searchsorted(rest, part.start))
+                begin = self.plant_size + int(np.searchsorted(rest, part.start))
                 self.parts_of_memory[name] = slice(begin, begin + part.stop - part.start)
         self._users_period: int | None = None if self.user_supplied else 1
 
@@ -122,7 +122,7 @@ class SampledLoop:
         Raises NotLinear: user-supplied systems do not repeat themselves.
         """
         if self._users_period is None and not self.has_diverged(state):
-            self._users_period = self._find_users_period(index, state, held)
+            self._users_period = period_of(self, index, state, held)
         if (own := self._users_period) is None or not np.isfinite(state).all():
             forces, count = self.coordinates.num_velocities, self.num_noise
             shapes = {"a": (self.size, self.size), "b": (self.size, count)}
@@ -138,16 +138,6 @@ class SampledLoop:
                     at, _ = self.after(earlier, at, held)
                 found[kind] = self._map(each, at, truth)
         return tuple(found[kind] for kind in kinds)
-
-    def _find_users_period(self, index: int, state: np.ndarray, held: Held) -> int | None:
-        def follow(index: int, state: np.ndarray) -> np.ndarray:
-            found, _ = self.after(index, state, held)
-            return np.full_like(found, np.nan) if self.has_diverged(found) else found
-
-        def directions(state: np.ndarray) -> np.ndarray:
-            return self.directions(state)[:, : self._plant]
-
-        return period_of(self.sample, index, state, follow=follow, directions=directions)
 
     def _map(self, index: int, state: np.ndarray, truth: MassProperties | None) -> SampleMap:
         directions = self.directions(state, truth)

@@ -2,7 +2,8 @@
 it.
 """
 
-from collections.abc import Callable
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -19,27 +20,23 @@ _TRIES = 3
 
 
 def period_of(
-    sample: DrakeSample,
-    index: int,
-    state: np.ndarray,
-    *,
-    follow: Callable[[int, np.ndarray], np.ndarray],
-    directions: Callable[[np.ndarray], np.ndarray],
+    loop: Any, index: int, state: np.ndarray, held: Mapping[str, np.ndarray]
 ) -> int | None:
     """Control samples after which user-supplied systems repeat themselves; None: the loop diverges.
 
     Args:
-      sample: the sample.
+      loop: the ``SampledLoop``.
       index: of a control sample.
       state: before it.
-      follow: returns the state before the next sample, NaN where the loop has diverged.
-      directions: returns small changes of the plant in a state.
+      held: see ``Linearizer.at``.
 
     Raises NotLinear where they do not repeat themselves.
     """
+    sample: DrakeSample = loop.sample
 
     def slope(index: int, state: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
-        return sample.update_slope(index, state, directions(state), step)
+        of_plant = loop.directions(state)[:, : loop.plant_size]
+        return sample.update_slope(index, state, of_plant, step)
 
     for _ in range(_TRIES):
         memories, maps = list[np.ndarray](), list[np.ndarray]()
@@ -48,8 +45,8 @@ def period_of(
             memory, found = slope(each, state, STEP)
             memories.append(memory)
             maps.append(found)
-            state = follow(each, state)
-            if not np.isfinite(state).all():
+            state, _ = loop.after(each, state, held)
+            if loop.has_diverged(state) or not np.isfinite(state).all():
                 return None
         period = _period_in(sample, indices, np.array(memories), np.array(maps))
         if period is not None:
