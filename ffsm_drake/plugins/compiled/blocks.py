@@ -36,8 +36,10 @@ CARRIED = {
     "requested": "requested_after",
     "corrected": "corrected_after",
 }
-# Likewise of an instant at which forces step that step several times in a sample.
-TOUCHED = {"touched": "touched_after", "touch": "touch_after"}
+# Single numbers of a run: of the sample and of the step in it; the sample that is a first one for
+# the law; whether the run has left its bound, or has a number that is not finite; samples with an
+# action of the law before that; and when it was seen last, s.
+COUNTS = dict.fromkeys(("number", "j", "first_at", "lost", "acted_on", "seen_at"), 1)
 # Kinds of sampled blocks, in the order of their phases, and the states with their memory; forces
 # that do not step once in a sample have theirs in ``touched``.
 STEPPING = {
@@ -270,7 +272,7 @@ class Blocks:
             "push": self.held["push"], **watching, "shown_last": sum(self.shown_last.values()),
             "hidden_push": len(self.loose) if self.pushes_hidden else 0,
             "acted": sum(self.acted.values()), "flown": sum(self.flown.values()), "y": states["x"],
-            **{cell: states[name] for name, cell in (CARRIED | TOUCHED).items()},
+            **{cell: states[name] for name, cell in CARRIED.items()}, "is_first": 1,
             **{f"k{i}": states["x"] for i in stages}, **{f"t{i}": 1 for i in stages},
         }  # fmt: skip
 

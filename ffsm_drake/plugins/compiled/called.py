@@ -57,7 +57,7 @@ class Laws:
         self._cells_of = (
             [*inputs.values(), ("memory", 0, kept), *looked.values()],
             [("generalized_force", 0, blocks.nv), ("memory_after", 0, kept), *found.values()],
-            [(name, 0, 1) for name in ("lost", "begun", "first_at", "watched")],
+            [(name, 0, 1) for name in ("lost", "is_first", "watched")],
         )
 
     def function(self, cells: np.ndarray, places: Mapping[str, int]) -> Any:
@@ -75,20 +75,15 @@ class Laws:
     def _called(
         self, cells: np.ndarray, entries: Sequence[np.ndarray], sample: int, other: Any
     ) -> bool:
-        reads, writes, (lost, begun, first_at, restart) = entries
+        reads, writes, (lost, is_first, restart) = entries
         try:
             rows, made = (
                 np.ascontiguousarray(cells[reads].T),
                 np.full((cells.shape[1], writes.size), np.nan),
             )
-            are_lost, are_first = (
-                cells[lost].view(np.int64),
-                cells[begun] + sample == cells[first_at],
-            )
+            are_lost, are_first = cells[[lost, is_first]] != 0.0
             if self._is_watched:
-                afresh = cells[restart] != 0.0
-                are_first |= afresh
-                rows[afresh, self._before] = self._start
+                rows[cells[restart] != 0.0, self._before] = self._start
             for lane in range(len(self._controllers)):
                 if not are_lost[lane]:
                     self.step(lane, rows[lane], made[lane], is_first=are_first[lane])

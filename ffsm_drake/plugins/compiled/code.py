@@ -37,6 +37,7 @@ def declarations(registers: Registers) -> Iterator[str]:
         yield f"declare {registers.reals} @llvm.{name}.v{registers.width}f64({operands})"
     for name, count in _LIBRARY.items():
         yield f"declare double @{name}({', '.join(['double'] * count)})"
+    yield "declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)"
 
 
 def of_lanes(
@@ -47,7 +48,7 @@ def of_lanes(
     results: Mapping[str, Sequence[Any]],
 ) -> str:
     """An internal function of pointers to arrays with a register for each entry, of inputs and of
-    results.
+    results. An array may be both.
 
     Args:
       inputs: the length n of the rows of each input array.
@@ -56,7 +57,9 @@ def of_lanes(
     tape, results = without_angles(tape, results)
     places: dict[int, list[tuple[str, int]]] = {}
     body = list[str]()
-    for array, row in results.items():
+    changed = {each: f"{each}.new" for each in results if each in inputs}
+    for name_of, row in results.items():
+        array = changed.get(name_of, name_of)
         for entry, value in enumerate(row):
             if isinstance(value, Symbol):
                 places.setdefault(value.index, []).append((array, entry))
@@ -72,9 +75,11 @@ def of_lanes(
     slots, size = _slots(operations, parts)
     rooms = {"kept": max(size, 1)}
     rooms |= {f"loop.{index}": len(operands) - 1 for index, operands in loops.items()}
-    pointers = ", ".join(f"ptr noalias %{each}.b" for each in (*inputs, *results))
+    rooms |= {new: len(results[each]) for each, new in changed.items()}
+    arrays = dict.fromkeys((*inputs, *results))
+    pointers = ", ".join(f"ptr noalias %{each}.b" for each in arrays)
     inner_pointers = ", ".join((pointers, *(f"ptr noalias %{each}.b" for each in rooms)))
-    given = ", ".join(f"ptr %{each}.b" for each in (*inputs, *results, *rooms))
+    given = ", ".join(f"ptr %{each}.b" for each in (*arrays, *rooms))
     for number, part in enumerate(parts):
         lines = "\n".join(_Part(registers, name, operations, slots, places, part).lines())
         texts.append(
@@ -82,6 +87,10 @@ def of_lanes(
             f"{{\n{lines}\n  ret void\n}}\n"
         )
         body.append(f"  call void @{name}.{number}({given})")
+    for each, new in changed.items():
+        size = 8 * registers.width * len(results[each])
+        copied = f"ptr %{each}.b, ptr %{new}.b, i64 {size}, i1 false"
+        body.append(f"  call void @llvm.memcpy.p0.p0.i64({copied})")
     lines = "\n".join((*(_room(registers, *each) for each in rooms.items()), *body))
     texts.append(f"define internal void @{name}({pointers}) {{\n{lines}\n  ret void\n}}\n")
     return "\n".join(texts)

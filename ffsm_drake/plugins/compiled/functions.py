@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ffsm_drake.plugins.compiled.blocks import Blocks
+from ffsm_drake.plugins.compiled.blocks import COUNTS, Blocks
 from ffsm_drake.plugins.compiled.code import of_lanes
 from ffsm_drake.plugins.compiled.loop import Made, TracedLoop
 from ffsm_drake.plugins.compiled.registers import Registers
@@ -22,27 +22,44 @@ class Function(NamedTuple):
     """A traced function."""
 
     text: str  # in LLVM's language
-    arrays: tuple[str, ...]  # what it reads, and then what it writes
+    arrays: tuple[str, ...]  # what it reads, and then what else it writes
 
 
 def functions(
-    blocks: Blocks, registers: Registers, *, begins: bool, slopes: bool
+    blocks: Blocks, registers: Registers, *, steps: int, begins: bool, slopes: bool
 ) -> dict[str, Function]:
-    """Return the functions of a sample and of the integrator: with ``begins`` also a run's first
-    sample, with ``slopes`` also derivatives along a direction (cells ``d_...``). Raises
-    NotTraceable, or what the law raises on symbols.
+    """Return the functions of a sample and of the integrator.
+
+    Args:
+      blocks: the loop.
+      registers: what each number is a register of.
+      steps: of the integrator in a sample.
+      begins: with the first sample of a run, and what is known of a run after a sample.
+      slopes: with derivatives along a direction (cells ``d_...``).
+
+    Raises NotTraceable, or what the law raises on symbols.
     """
-    made: dict[str, Callable[[TracedLoop], Made]] = {"derivative": TracedLoop.derivative}
+    scheme = SCHEMES[blocks.scheme]
+    made: dict[str, Callable[[TracedLoop], Made]] = {
+        "instants": functools.partial(TracedLoop.instants, times=scheme.times),
+        "derivative": TracedLoop.derivative,
+        "carried": TracedLoop.carried,
+    }
     if blocks.called:
         made |= {"sensed": TracedLoop.sensed, "acted": TracedLoop.acted}
     else:
         made["sample"] = functools.partial(TracedLoop.sample, is_first=False)
         if begins:
             made["first"] = functools.partial(TracedLoop.sample, is_first=True)
+    if begins:
+        made["judged"] = TracedLoop.judged
     if blocks.per_sample > 1:
         made["touching"] = TracedLoop.touching
-    for i, weights in enumerate(SCHEMES[blocks.scheme].points):
+    *points, last = scheme.points
+    for i, weights in enumerate(points):
         made[f"point{i}"] = functools.partial(TracedLoop.point, weights=weights)
+    end = functools.partial(TracedLoop.arrived, weights=last, steps=steps)
+    made[f"point{len(points)}"] = end
     return {
         name: _function(blocks, registers, name, each, slopes=slopes) for name, each in made.items()
     }
@@ -72,7 +89,7 @@ def _function(
 ) -> Function:
     """Trace a function of cells."""
     changing = blocks.states | blocks.results
-    sizes = blocks.parameters | changing | blocks.row
+    sizes = blocks.parameters | changing | blocks.row | COUNTS
     sizes |= {"t": 1, "state": sizes["x"], "rates": sizes["x"]}
     tape = Tape()
     cells = _Cells(tape, sizes)
@@ -100,4 +117,5 @@ def _function(
             f"d_{each}": [next(slope) for _ in range(len(values))]
             for each, values in results.items()
         }
-    return Function(of_lanes(registers, name, tape, given, results), (*given, *results))
+    arrays = tuple(dict.fromkeys((*given, *results)))
+    return Function(of_lanes(registers, name, tape, given, results), arrays)

@@ -8,12 +8,12 @@ no state, so that a further call can go on with it: a *leg* of a run is a call.
 import ctypes
 import functools
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ffsm_drake.plugins.compiled.apart import apart
-from ffsm_drake.plugins.compiled.blocks import CARRIED, TOUCHED, Blocks
+from ffsm_drake.plugins.compiled.blocks import COUNTS, Blocks
 from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.code import declarations
 from ffsm_drake.plugins.compiled.compiling import Code, registers
@@ -84,7 +84,7 @@ class Kernel:
                 raise NotCovered(f"{self._sizes[name]} numbers of {name} after {values.size}")
             first = self.places[name]
             cells[first : first + values.size] = values
-        cells[self.places["begun"]] = begin.sample
+        cells[self.places["number"]] = begin.sample
         cells[self.places["first_at"]] = begin.first_at
         return cells
 
@@ -175,8 +175,7 @@ class Kernel:
 
         states = {name: own(name, size) for name, size in self.blocks.states.items()}
         last, count, left = begin.sample + samples, samples + ends, None
-        if own("lost", 1).view(np.int64)[0]:
-            states["x"][0] = own("x_before", 1)[0]
+        if own("lost", 1)[0]:
             count = int(own("acted_on", 1)[0])
             last = left = begin.sample + count - 1
         rows = {name: values[:count] for name, values in log.items()}
@@ -213,23 +212,17 @@ class Step:
         self._text = _Sample(blocks, lanes, steps=steps, slopes=slopes)
         self.places = self._text.places
         self._code = self._text.code("slopes" if slopes else "sample", key)
-        self._run = self._code.function("run", 2, ctypes.c_double)
+        self._run = self._code.function("run", 1)
 
     def cells(self) -> np.ndarray:
         """Room for all numbers of a sample (n, width): of a parameter, state, result or entry of
-        the row at ``places``, and their derivatives at ``d_NAME``.
+        the row at ``places``, its ``number``, and derivatives at ``d_NAME``.
         """
         return np.zeros((self._text.size, self.width))
 
-    def run(self, cells: np.ndarray, row: np.ndarray, time: float) -> None:
-        """Change the states in the cells to those just before the next sample.
-
-        Args:
-          cells: see ``cells``.
-          row: of the sample (n, width), see ``Blocks.row``.
-          time: s.
-        """
-        self._run(cells.ctypes.data, row.ctypes.data, time)
+    def run(self, cells: np.ndarray) -> None:
+        """Change the states in the cells to those just before the next sample."""
+        self._run(cells.ctypes.data)
 
 
 class _Text:
@@ -244,13 +237,15 @@ class _Text:
         self._blocks, self._registers, self._steps = blocks, registers, steps
         self._slopes = slopes
         self.places, self.size = dict[str, int](), 0
-        changing = blocks.states | blocks.results
+        changing = blocks.states | blocks.results | blocks.row | COUNTS
+        self._place(blocks.parameters | changing)
         if slopes:
-            changing |= {f"d_{name}": size for name, size in (changing | blocks.row).items()}
-        for name, size in (blocks.parameters | changing).items():
+            self._place({f"d_{name}": size for name, size in changing.items()})
+
+    def _place(self, sizes: Mapping[str, int]) -> None:
+        for name, size in sizes.items():
             self.places[name] = self.size
             self.size += size
-        self._count = 0
 
     def code(self, what: str, key: str | None) -> Code:
         """Return the compiled module. A user's law (without a key) is traced apart."""
@@ -258,11 +253,11 @@ class _Text:
         return Code(make, key and f"{what} {key}", quickly=not self._begins)
 
     def _module(self) -> str:
-        made = functions(self._blocks, self._registers, begins=self._begins, slopes=self._slopes)
+        how: Any = {"steps": self._steps, "begins": self._begins, "slopes": self._slopes}
+        made = functions(self._blocks, self._registers, **how)
         lines = "\n".join((*self._entry(), *self._lines(made)))
         return "\n".join((
             *declarations(self._registers),
-            "declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)",
             *(each.text for each in made.values()),
             f"define void @run({self._arguments}) {{\n{lines}\n}}\n",
         ))  # fmt: skip
@@ -271,54 +266,24 @@ class _Text:
         """The lines of ``run``, after the places of the cells."""
         raise NotImplementedError
 
-    def _new(self) -> str:
-        self._count += 1
-        return f"%n{self._count}"
-
     def _entry(self) -> Iterator[str]:
         yield "entry:"
         for name, place in self.places.items():
             yield f"  %{name} = getelementptr {self._registers.reals}, ptr %cells, i64 {place}"
-        for name in ("sample_time", "step"):
-            yield f"  %the_{name} = load double, ptr %{name}, align 8"
-
-    def _row(self, first: str) -> Iterator[str]:
-        """The places of a row's entries."""
-        place = 0
-        for name, size in self._blocks.row.items():
-            yield f"  %{name} = getelementptr {self._registers.reals}, ptr {first}, i64 {place}"
-            place += size
-
-    def _kept(self) -> Iterator[str]:
-        """Copies of what a sample makes to the states."""
-        states = self._blocks.states
-        for prefix in ("", "d_") if self._slopes else ("",):
-            for name, after in CARRIED.items():
-                yield self._copy(f"%{prefix}{after}", f"%{prefix}{name}", states[name])
 
     def _moved(self, functions: Mapping[str, Function], before: str, after: str) -> Iterator[str]:
-        """The integrator's steps from ``%times`` to the next sample, as a block ``move`` between
-        two others.
-        """
-        scheme = SCHEMES[self._blocks.scheme]
+        """The integrator's steps to the next sample, as a block ``move`` between two others."""
+        stages = len(SCHEMES[self._blocks.scheme].times)
         yield "move:"
-        yield f"  %j = phi i64 [0, %{before}], [%following, %arrived]"
-        yield "  %within = uitofp i64 %j to double"
-        yield "  %shift = fmul double %within, %the_step"
-        yield from self._after("%times", "%shift", "%start")
-        for i, time in enumerate(scheme.times):
-            later, at = self._new(), self._new()
-            yield f"  {later} = fmul double %the_step, {_number(time)}"
-            yield from self._after("%start", later, at)
-            yield f"  store {self._registers.reals} {at}, ptr %t{i}, align 8"
+        yield f"  %step.j = phi i64 [0, %{before}], [%following, %arrived]"
+        yield self._call(functions, "instants")
         yield from self._touched(functions)
-        for i, _ in enumerate(scheme.times):
+        for i in range(stages):
             names = {"state": "x" if i == 0 else "y", "t": f"t{i}", "rates": f"k{i}"}
             names |= {f"d_{name}": f"d_{cell}" for name, cell in names.items()}
             yield self._call(functions, "derivative", **names)
             yield self._call(functions, f"point{i}")
-        yield "  %following = add i64 %j, 1"
-        yield from self._arrived()
+        yield "  %following = add i64 %step.j, 1"
         yield "  br label %arrived"
         yield "arrived:"
         yield f"  %more = icmp ult i64 %following, {self._steps}"
@@ -326,12 +291,14 @@ class _Text:
 
     def _touched(self, functions: Mapping[str, Function]) -> Iterator[str]:
         """Forces that step several times in a sample, at the begin of a step."""
-        yield from ()
-
-    def _arrived(self) -> Iterator[str]:
-        """The end of a step."""
-        for prefix in ("", "d_") if self._slopes else ("",):
-            yield self._copy(f"%{prefix}y", f"%{prefix}x", self._blocks.states["x"])
+        if "touching" in functions:
+            yield f"  %in_part = urem i64 %step.j, {self._steps // self._blocks.per_sample}"
+            yield "  %touches = icmp eq i64 %in_part, 0"
+            yield "  br i1 %touches, label %touching, label %untouched"
+            yield "touching:"
+            yield self._call(functions, "touching")
+            yield "  br label %untouched"
+            yield "untouched:"
 
     def _call(self, functions: Mapping[str, Function], name: str, **others: str) -> str:
         given = ", ".join(f"ptr %{others.get(each, each)}" for each in functions[name].arrays)
@@ -343,27 +310,12 @@ class _Text:
             f"  call void @llvm.memcpy.p0.p0.i64(ptr {target}, ptr {source}, i64 {count}, i1 false)"
         )
 
-    def _spread(self, value: str, target: str) -> Iterator[str]:
-        """A number in every lane."""
-        reals, one = self._registers.reals, self._new()
-        mask = f"<{self._registers.width} x i32> zeroinitializer"
-        yield f"  {one} = insertelement {reals} poison, double {value}, i64 0"
-        yield f"  {target} = shufflevector {reals} {one}, {reals} poison, {mask}"
-
-    def _after(self, times: str, span: str, target: str) -> Iterator[str]:
-        """Each lane's time after a span."""
-        spans = self._new()
-        yield from self._spread(span, spans)
-        yield f"  {target} = fadd {self._registers.reals} {times}, {spans}"
-
 
 class _Runs(_Text):
     """Runs with their logs, from a sample of each lane on.
 
     The addresses in ``places`` are those of each lane's arrays from this sample on: rows that it
-    reads, and signals that it writes, unless the address is 0. A lane is ``lost`` if it leaves its
-    bound, or a number is not finite; its states and time ``seen_at`` then stay, with the first
-    number of ``x`` at ``x_before``.
+    reads, and signals that it writes, unless the address is 0.
     """
 
     _arguments = "ptr noalias %cells, ptr noalias %places, i64 %last, ptr %call, ptr %plan"
@@ -373,53 +325,43 @@ class _Runs(_Text):
         super().__init__(blocks, registers, steps=steps)
         self.read = [name for name, size in blocks.row.items() if size]
         logged = _ROWS * sum(size for *_, size in blocks.log.values())
-        # ``lost`` has bits as soon as a lane is; ``begun`` and ``acted_on`` count samples, before
-        # the first one and with an action of the law; ``first_at`` is the law's first one
-        names = ("lost", "begun", "first_at", "acted_on", "seen_at", "x_before")
-        own = dict.fromkeys(names, 1)
-        own |= {"log": logged, "spare": sum(blocks.results.values())}
-        for name, size in (blocks.row | own).items():
-            self.places[name] = self.size
-            self.size += size
+        self._place({"log": logged, "spare": sum(blocks.results.values())})
 
     def _lines(self, functions: Mapping[str, Function]) -> Iterator[str]:
-        blocks, width, place = self._blocks, self._registers.width, 0
-        reals = self._registers.reals
-        yield f"  %before = load {reals}, ptr %begun, align 8"
-        yield from self._spread("%the_sample_time", "%sample_times")
+        blocks, place = self._blocks, 0
+        width = self._registers.width
         yield "  br label %begin"
         yield "begin:"
-        yield "  %k = phi i64 [0, %entry], [%next, %stepped]"
+        yield "  %sample.k = phi i64 [0, %entry], [%next, %stepped]"
         for name in self.read:
             size = blocks.row[name]
             yield f"  %{name}.count = add i64 0, {size}"
-            yield f"  %{name}.first = mul i64 %k, {size}"
+            yield f"  %{name}.first = mul i64 %sample.k, {size}"
             yield from self._lanes(name, f"%{name}", place)
             place += width
-        yield "  %sample = uitofp i64 %k to double"
-        yield from self._after("%before", "%sample", "%passed")
-        yield f"  %times = fmul {reals} %passed, %sample_times"
-        yield f"  store {reals} %times, ptr %t0, align 8"
         if blocks.called:
-            yield from self._asked([self._call(functions, "sensed")])
-            yield "  %goes_on = call i64 %call(i64 %k, ptr %cells)"
+            calls = [self._call(functions, name) for name in ("instants", "sensed")]
+            yield from self._asked(calls)
+            yield "  %goes_on = call i64 %call(i64 %sample.k, ptr %cells)"
             yield "  %is_stopped = icmp eq i64 %goes_on, 0"
             yield "  br i1 %is_stopped, label %end, label %sampled"
             yield "sampled:"
             yield self._call(functions, "acted")
         else:
             yield from self._asked(self._sampled(functions))
-        yield f"  %row = urem i64 %k, {_ROWS}"
+        yield f"  %row = urem i64 %sample.k, {_ROWS}"
         yield from self._logged()
-        yield from self._lost()
-        yield "  %is_last = icmp eq i64 %k, %last"
-        yield "  %ends = or i1 %is_last, %no_lane"
+        yield self._call(functions, "judged")
+        yield from self._lanes_with("lost")
+        yield f"  %all_are_lost = icmp eq i{width} %lost.lanes, -1"
+        yield "  %is_last = icmp eq i64 %sample.k, %last"
+        yield "  %ends = or i1 %is_last, %all_are_lost"
         yield f"  %is_full = icmp eq i64 %row, {_ROWS - 1}"
         yield "  %is_due = or i1 %ends, %is_full"
         yield "  br i1 %is_due, label %write, label %onward"
         yield "write:"
         yield "  %rows = add i64 %row, 1"
-        yield "  %first_row = sub i64 %k, %row"
+        yield "  %first_row = sub i64 %sample.k, %row"
         for name, (*_, size) in blocks.log.items():
             yield f"  %log.{name}.count = mul i64 %rows, {size}"
             yield f"  %log.{name}.first = mul i64 %first_row, {size}"
@@ -427,13 +369,11 @@ class _Runs(_Text):
             place += width
         yield "  br i1 %ends, label %end, label %onward"
         yield "onward:"
-        yield from self._stopped()
-        yield f"  %any_is_lost = icmp ne i{width} %lanes, 0"
-        yield from self._carried("kept", CARRIED, "%are_lost", "%any_is_lost")
+        yield self._call(functions, "carried")
         yield "  br label %move"
-        yield from self._moved(functions, "kept.end", "stepped")
+        yield from self._moved(functions, "onward", "stepped")
         yield "stepped:"
-        yield "  %next = add i64 %k, 1"
+        yield "  %next = add i64 %sample.k, 1"
         yield "  br label %begin"
         yield "end:"
         yield "  ret void"
@@ -442,42 +382,26 @@ class _Runs(_Text):
         """Copies of the signals, which are written to the lanes' arrays some samples at a time."""
         reals, place = self._registers.reals, 0
         for name, (cell, first, size) in self._blocks.log.items():
-            source, offset, target = self._new(), self._new(), self._new()
-            yield f"  %log.{name}.cells = getelementptr {reals}, ptr %log, i64 {place}"
-            yield f"  {source} = getelementptr {reals}, ptr %{cell}, i64 {first}"
-            yield f"  {offset} = mul i64 %row, {size}"
-            yield f"  {target} = getelementptr {reals}, ptr %log.{name}.cells, i64 {offset}"
-            yield self._copy(source, target, size)
+            target = f"%log.{name}"
+            yield f"  {target}.cells = getelementptr {reals}, ptr %log, i64 {place}"
+            yield f"  {target}.from = getelementptr {reals}, ptr %{cell}, i64 {first}"
+            yield f"  {target}.offset = mul i64 %row, {size}"
+            yield f"  {target}.to = getelementptr {reals}, ptr {target}.cells, i64 {target}.offset"
+            yield self._copy(f"{target}.from", f"{target}.to", size)
             place += _ROWS * size
 
     def _sampled(self, functions: Mapping[str, Function]) -> Iterator[str]:
         """A sample of lanes, some of which may be at their first."""
-        reals, truths, width = self._registers.reals, self._registers.truths, self._registers.width
         size = sum(self._blocks.results.values())
         made = f"%{next(iter(self._blocks.results))}"
-        yield f"  %first_at.samples = load {reals}, ptr %first_at, align 8"
-        begins = "%are_first"
-        if self._blocks.watch is not None:
-            begins = "%are_begun"
-            yield f"  %restart = load {reals}, ptr %watched, align 8"
-            yield f"  %are_afresh = fcmp une {reals} %restart, zeroinitializer"
-        yield f"  {begins} = fcmp oeq {reals} %passed, %first_at.samples"
-        if self._blocks.watch is not None:
-            yield f"  %are_first = or {truths} %are_begun, %are_afresh"
-        yield f"  %first.lanes = bitcast {truths} %are_first to i{width}"
-        yield f"  %none_is = icmp eq i{width} %first.lanes, 0"
-        yield "  br i1 %none_is, label %later, label %first"
+        yield self._call(functions, "instants")
+        yield self._call(functions, "sample")
+        yield from self._lanes_with("is_first")
+        yield "  br i1 %is_first.any, label %first, label %sampled"
         yield "first:"
-        yield self._call(functions, "first")
-        yield f"  %all_are = icmp eq i{width} %first.lanes, -1"
-        yield "  br i1 %all_are, label %sampled, label %both"
-        yield "both:"
         yield self._copy(made, "%spare", size)
-        yield self._call(functions, "sample")
-        yield from self._chosen("both", made, "%are_first", "%spare", made, size)
-        yield "  br label %sampled"
-        yield "later:"
-        yield self._call(functions, "sample")
+        yield self._call(functions, "first")
+        yield from self._chosen(made, "%is_first.are", "%spare", size)
         yield "  br label %sampled"
         yield "sampled:"
 
@@ -486,162 +410,46 @@ class _Runs(_Text):
         if self._blocks.watch is None:
             yield from sampling
             return
-        wholes, width = self._registers.wholes, self._registers.width
         yield "  br label %sampling"
         yield "sampling:"
         yield from sampling
-        yield f"  %asks.now = load {wholes}, ptr %asks, align 8"
-        yield f"  %are_asking = icmp ne {wholes} %asks.now, zeroinitializer"
-        yield f"  %asking.lanes = bitcast {self._registers.truths} %are_asking to i{width}"
-        yield f"  %none_asks = icmp eq i{width} %asking.lanes, 0"
-        yield "  br i1 %none_asks, label %answered, label %ask"
+        yield from self._lanes_with("asks")
+        yield "  br i1 %asks.any, label %ask, label %answered"
         yield "ask:"
-        yield "  %answers = call i64 %plan(i64 %k, ptr %cells)"
+        yield "  %answers = call i64 %plan(i64 %sample.k, ptr %cells)"
         yield "  %is_unanswered = icmp eq i64 %answers, 0"
         yield "  br i1 %is_unanswered, label %end, label %sampling"
         yield "answered:"
 
-    def _chosen(
-        self, before: str, target: str, mask: str, then: str, otherwise: str, size: int
-    ) -> Iterator[str]:
-        """So many cells from one place for the lanes of a mask, for the others from another."""
-        reals, truths, name = self._registers.reals, self._registers.truths, f"%{before}"
-        yield f"  br label {name}.each"
-        yield f"{before}.each:"
-        yield f"  {name}.i = phi i64 [0, {name}], [{name}.next, {name}.each]"
-        for i, place in enumerate((then, otherwise, target)):
-            yield f"  {name}.at{i} = getelementptr {reals}, ptr {place}, i64 {name}.i"
-        for i in range(2):
-            yield f"  {name}.own{i} = load {reals}, ptr {name}.at{i}, align 8"
-        both = f"{reals} {name}.own0, {reals} {name}.own1"
-        yield f"  {name}.one = select {truths} {mask}, {both}"
-        yield f"  store {reals} {name}.one, ptr {name}.at2, align 8"
-        yield f"  {name}.next = add i64 {name}.i, 1"
-        yield f"  {name}.more = icmp ult i64 {name}.next, {size}"
-        yield f"  br i1 {name}.more, label {name}.each, label {name}.end"
-        yield f"{before}.end:"
-
-    def _lost(self) -> Iterator[str]:
-        """The lanes with a velocity beyond the bound, or a number that is not finite: it minus
-        itself is not zero.
+    def _lanes_with(self, cell: str) -> Iterator[str]:
+        """The lanes in which a number is not zero: truths ``.are``, bits ``.lanes``, and whether
+        there is ``.any``.
         """
-        reals, wholes, width = self._registers.reals, self._registers.wholes, self._registers.width
-        yield from self._bounded("%times")
-        yield f"  %goes = icmp eq {wholes} %lost.before, zeroinitializer"
-        yield f"  %one_more = uitofp {self._registers.truths} %goes to {reals}"
-        yield f"  %acted_on.before = load {reals}, ptr %acted_on, align 8"
-        yield f"  %acted_on.now = fadd {reals} %acted_on.before, %one_more"
-        yield f"  store {reals} %acted_on.now, ptr %acted_on, align 8"
-        lost = "%beyond"
-        for cell, first, size in self._blocks.log.values():
-            for entry in range(first, first + size):
-                value, rest, bits, more = (self._new() for _ in range(4))
-                yield from self._loaded(cell, entry, value)
-                yield f"  {rest} = fsub {reals} {value}, {value}"
-                yield f"  {bits} = bitcast {reals} {rest} to {wholes}"
-                yield f"  {more} = or {wholes} {lost}, {bits}"
-                lost = more
-        yield f"  store {wholes} {lost}, ptr %lost, align 8"
-        yield f"  %are_lost = icmp ne {wholes} {lost}, zeroinitializer"
-        yield f"  %lanes = bitcast {self._registers.truths} %are_lost to i{width}"
-        yield f"  %no_lane = icmp eq i{width} %lanes, -1"
+        reals, width = self._registers.reals, self._registers.width
+        yield f"  %{cell}.now = load {reals}, ptr %{cell}, align 8"
+        yield f"  %{cell}.are = fcmp une {reals} %{cell}.now, zeroinitializer"
+        yield f"  %{cell}.lanes = bitcast {self._registers.truths} %{cell}.are to i{width}"
+        yield f"  %{cell}.any = icmp ne i{width} %{cell}.lanes, 0"
 
-    def _stopped(self) -> Iterator[str]:
-        """The ``x`` of lost lanes is no number from then on, so that they ask for no loops."""
-        reals, wholes, truths = (
-            self._registers.reals, self._registers.wholes, self._registers.truths,
-        )  # fmt: skip
-        yield f"  %lost.now = load {wholes}, ptr %lost, align 8"
-        yield f"  %x.now = load {reals}, ptr %x, align 8"
-        yield f"  %x.then = load {reals}, ptr %x_before, align 8"
-        yield f"  %x.is_none = fcmp uno {reals} %x.now, %x.now"
-        yield f"  %x.last = select {truths} %x.is_none, {reals} %x.then, {reals} %x.now"
-        yield f"  store {reals} %x.last, ptr %x_before, align 8"
-        yield f"  %x.bits = bitcast {reals} %x.now to {wholes}"
-        yield f"  %x.after = or {wholes} %x.bits, %lost.now"
-        yield f"  store {wholes} %x.after, ptr %x, align 8"
-
-    def _carried(
-        self, label: str, states: Mapping[str, str], mask: str, some: str
-    ) -> Iterator[str]:
-        """Copies to states, except to those of the lanes of a mask; ``some``: whether it has any.
-        At its end, the block is ``LABEL.end``.
+    def _chosen(self, cells: str, mask: str, others: str, size: int) -> Iterator[str]:
+        """So many cells stay in the lanes of a mask, and become others in the rest, after the block
+        ``first``.
         """
-        sizes = {name: size for name in states if (size := self._blocks.states[name])}
-        yield f"  br i1 {some}, label %{label}.some, label %{label}.all"
-        yield f"{label}.some:"
-        for name, size in sizes.items():
-            at, own, other = f"{label}.{name}", f"%{name}", f"%{states[name]}"
-            yield f"  br label %{at}"
-            yield f"{at}:"
-            yield from self._chosen(at, own, mask, own, other, size)
-        yield f"  br label %{label}.end"
-        yield f"{label}.all:"
-        for name, size in sizes.items():
-            yield self._copy(f"%{states[name]}", f"%{name}", size)
-        yield f"  br label %{label}.end"
-        yield f"{label}.end:"
-
-    def _touched(self, functions: Mapping[str, Function]) -> Iterator[str]:
-        if "touching" not in functions:
-            return
-        width, wholes = self._registers.width, self._registers.wholes
-        yield f"  %in_part = urem i64 %j, {self._steps // self._blocks.per_sample}"
-        yield "  %touches = icmp eq i64 %in_part, 0"
-        yield "  br i1 %touches, label %touching, label %untouched"
-        yield "touching:"
-        yield self._call(functions, "touching")
-        yield f"  %touch.lost = load {wholes}, ptr %lost, align 8"
-        yield f"  %touch.out = icmp ne {wholes} %touch.lost, zeroinitializer"
-        yield f"  %touch.lanes = bitcast {self._registers.truths} %touch.out to i{width}"
-        yield f"  %touch.some = icmp ne i{width} %touch.lanes, 0"
-        yield from self._carried("touched", TOUCHED, "%touch.out", "%touch.some")
-        yield "  br label %untouched"
-        yield "untouched:"
-
-    def _bounded(self, times: str, prefix: str = "") -> Iterator[str]:
-        """The lost lanes at ``x``, as ``%beyond``, and the times at which the others are seen."""
-        reals, wholes, width = self._registers.reals, self._registers.wholes, self._registers.width
-        name, lost = f"%{prefix}", f"%{prefix}lost.before"
-        yield f"  {name}bounds = load {reals}, ptr %bound, align 8"
-        yield f"  {lost} = load {wholes}, ptr %lost, align 8"
-        yield f"  {name}are_out = icmp ne {wholes} {lost}, zeroinitializer"
-        yield f"  {name}at = load {reals}, ptr %seen_at, align 8"
-        chosen = f"{reals} {name}at, {reals} {times}"
-        yield f"  {name}at.now = select {self._registers.truths} {name}are_out, {chosen}"
-        yield f"  store {reals} {name}at.now, ptr %seen_at, align 8"
-        velocities = self._blocks.known[self._blocks.nq :]
-        for i, entry in enumerate(velocities):
-            value, speed, beyond, mask = (self._new() for _ in range(4))
-            more = f"{name}beyond" if i == len(velocities) - 1 else self._new()
-            yield from self._loaded("x", entry, value)
-            yield f"  {speed} = call {reals} @llvm.fabs.v{width}f64({reals} {value})"
-            yield f"  {beyond} = fcmp ugt {reals} {speed}, {name}bounds"
-            yield f"  {mask} = sext {self._registers.truths} {beyond} to {wholes}"
-            yield f"  {more} = or {wholes} {lost}, {mask}"
-            lost = more
-
-    def _loaded(self, cell: str, entry: int, target: str) -> Iterator[str]:
-        reals, at = self._registers.reals, self._new()
-        yield f"  {at} = getelementptr {reals}, ptr %{cell}, i64 {entry}"
-        yield f"  {target} = load {reals}, ptr {at}, align 8"
-
-    def _arrived(self) -> Iterator[str]:
-        wholes = self._registers.wholes
-        yield f"  %frozen = load {wholes}, ptr %lost, align 8"
-        yield f"  %are_frozen = icmp ne {wholes} %frozen, zeroinitializer"
-        yield "  br label %arrive"
-        yield "arrive:"
-        yield from self._chosen("arrive", "%x", "%are_frozen", "%x", "%y", self._blocks.states["x"])
-        if self._steps > 1:  # Drake looks after every step; the next sample after the last one
-            yield "  %passed_by = uitofp i64 %following to double"
-            yield "  %until = fmul double %passed_by, %the_step"
-            yield from self._after("%times", "%until", "%step.ends")
-            yield from self._bounded("%step.ends", "step.")
-            yield f"  %is_within = icmp ult i64 %following, {self._steps}"
-            lost = f"{wholes} %step.beyond, {wholes} %frozen"
-            yield f"  %step.lost = select i1 %is_within, {lost}"
-            yield f"  store {wholes} %step.lost, ptr %lost, align 8"
+        reals, truths = self._registers.reals, self._registers.truths
+        yield "  br label %choose"
+        yield "choose:"
+        yield "  %cell = phi i64 [0, %first], [%cell.next, %choose]"
+        yield f"  %cell.at = getelementptr {reals}, ptr {cells}, i64 %cell"
+        yield f"  %other.at = getelementptr {reals}, ptr {others}, i64 %cell"
+        yield f"  %cell.own = load {reals}, ptr %cell.at, align 8"
+        yield f"  %other.own = load {reals}, ptr %other.at, align 8"
+        both = f"{reals} %cell.own, {reals} %other.own"
+        yield f"  %cell.chosen = select {truths} {mask}, {both}"
+        yield f"  store {reals} %cell.chosen, ptr %cell.at, align 8"
+        yield "  %cell.next = add i64 %cell, 1"
+        yield f"  %cell.more = icmp ult i64 %cell.next, {size}"
+        yield "  br i1 %cell.more, label %choose, label %chosen"
+        yield "chosen:"
 
     def _lanes(self, name: str, cells: str, place: int, *, back: bool = False) -> Iterator[str]:
         """Copy so many numbers (NAME.count) of each lane's array, from NAME.first on, into cells,
@@ -677,20 +485,12 @@ class _Runs(_Text):
 class _Sample(_Text):
     """One sample and the motion up to the next."""
 
-    _arguments = "ptr noalias %cells, ptr noalias %row, double %time"
+    _arguments = "ptr noalias %cells"
 
     def _lines(self, functions: Mapping[str, Function]) -> Iterator[str]:
-        yield from self._row("%row")
-        yield from self._spread("%time", "%times")
-        yield f"  store {self._registers.reals} %times, ptr %t0, align 8"
-        yield self._call(functions, "sample")
-        yield from self._kept()
+        for name in ("instants", "sample", "carried"):
+            yield self._call(functions, name)
         yield "  br label %move"
         yield from self._moved(functions, "entry", "end")
         yield "end:"
         yield "  ret void"
-
-
-def _number(value: float) -> str:
-    """A number in LLVM's text."""
-    return Registers(1).real(value)[1:-1].removeprefix("double ")

@@ -126,12 +126,11 @@ class Lanes:
                 raise stopped
         if samples:
             self._places += np.uint64(samples) * self._strides
-            self._cells[:, places["begun"]] += samples * (self._strides[:, 0] > 0)
 
     @property
     def lost(self) -> np.ndarray:
         """Whether each lane's run diverges in the last call (number), at the time ``seen_at``."""
-        return self.cell("lost").view(np.int64) != 0
+        return self.cell("lost") != 0.0
 
     def log(self, lane: int, *, diverged: bool) -> RunLog:
         """The log of a lane's run that is over or has ``diverged``: its outcome, and the signals

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.loop.blocks import BESIDES, TOLD, usual_sizes
-from ffsm_drake.plugins.compiled.blocks import Blocks, Placed, at_start
+from ffsm_drake.plugins.compiled.blocks import CARRIED, Blocks, Placed, at_start
 from ffsm_drake.plugins.compiled.models import traced_model
 from ffsm_drake.plugins.compiled.parameters import with_symbols
 from ffsm_drake.plugins.compiled.stepping import joined, parted, read, stepped, zeros
@@ -60,7 +60,7 @@ class TracedLoop:
         if self._blocks.gyrates:
             held, _ = parted(self._cells.held_before, zeros(self._blocks.held))
             acted, _ = parted(held["acted"], zeros(self._blocks.acted))
-            made["gyroscopic"] = self._flow(self._cells.x, acted)[1]["gyroscopic_force"]
+            made["gyroscopic"] = self._flow(self._x, acted)[1]["gyroscopic_force"]
         return made
 
     def acted(self) -> Made:
@@ -71,13 +71,38 @@ class TracedLoop:
 
     def derivative(self) -> Made:
         """The rates of the plant's state, and of the flows'."""
-        cells, of = self._cells, self._blocks
-        q, v = np.split(cells.state[: self._plant], [of.tree.num_positions])
+        cells, of, state = self._cells, self._blocks, self._alive(self._cells.state)
+        q, v = np.split(state[: self._plant], [of.tree.num_positions])
         time, held = cells.t[0], {name: getattr(cells, name) for name in of.held}
-        force, rates = self._others(cells.state, time, **held)
-        for each in self._last(cells.state, time, force):
+        force, rates = self._others(state, time, **held)
+        for each in self._last(state, time, force):
             force[list(of.forced)] = force[list(of.forced)] + each["generalized_force"]
         return {"rates": [*equations.derivative(of.tree, q, v, force, cells.own), *joined(rates)]}
+
+    def instants(self, times: Sequence[float]) -> Made:
+        """The times of derivatives in a step, and whether a sample is a first one for the law.
+
+        Args: times after the begin of the step, in steps.
+        """
+        cells, start = self._cells, self._time_of(self._cells.j)
+        is_first = cells.number == cells.first_at
+        if self._blocks.watch is not None:
+            is_first = is_first | (self._remembered(cells.watched)["restart"] != 0.0)
+        made = {f"t{i}": start + cells.step * each for i, each in enumerate(times)}
+        return made | {"is_first": np.where(is_first, 1.0, 0.0)}
+
+    def judged(self) -> Made:
+        """What is known of a run after a sample."""
+        cells, places = self._cells, self._blocks.log.values()
+        logged = joined(getattr(cells, cell)[first : first + size] for cell, first, size in places)
+        is_sound = self._is_bounded(cells.x) & np.isfinite(logged).all()
+        acted = np.where(self._is_lost, 0.0, 1.0)
+        return {"acted_on": cells.acted_on + acted, **self._seen(cells.t0, is_sound)}
+
+    def carried(self) -> Made:
+        """The states after a sample."""
+        after = {name: getattr(self._cells, cell) for name, cell in CARRIED.items()}
+        return self._unless_lost(after)
 
     def point(self, weights: Sequence[float]) -> Made:
         """A point of the integrator's step."""
@@ -85,9 +110,59 @@ class TracedLoop:
         parts = [step * w * getattr(self._cells, f"k{i}") for i, w in enumerate(weights)]
         return {"y": self._cells.x + functools.reduce(np.add, parts)}
 
+    def arrived(self, weights: Sequence[float], steps: int) -> Made:
+        """The end of a step, of so many in a sample."""
+        cells, made = self._cells, self._unless_lost({"x": self.point(weights)["y"]})
+        following = cells.j + 1.0
+        # Drake looks after every step; the next sample after the last one
+        is_last = following >= steps
+        is_sound = self._is_bounded(made["x"]) | is_last
+        return {
+            **made,
+            **self._seen(self._time_of(following), is_sound),
+            "j": np.where(is_last, 0.0, following),
+            "number": cells.number + np.where(is_last, 1.0, 0.0),
+        }
+
+    def _time_of(self, step: Any) -> Any:
+        """The begin of a step in the present sample (1), s."""
+        cells = self._cells
+        return cells.number * cells.sample_time + step * cells.step
+
+    @property
+    def _is_lost(self) -> Any:
+        return self._cells.lost != 0.0
+
+    def _is_bounded(self, x: Any) -> Any:
+        velocities = x[list(self._blocks.known[self._blocks.nq :])]
+        return (np.abs(velocities) <= self._cells.bound).all()
+
+    def _seen(self, time: Any, is_sound: Any) -> dict[str, Any]:
+        """What is known of a run that is sound at a time, or not."""
+        return {
+            "lost": np.where(self._is_lost | ~is_sound, 1.0, 0.0),
+            "seen_at": np.where(self._is_lost, self._cells.seen_at, time),
+        }
+
+    def _unless_lost(self, after: Made) -> dict[str, Any]:
+        """What becomes of states; those of a lost run stay."""
+        return {
+            name: np.where(self._is_lost, getattr(self._cells, name), values)
+            for name, values in after.items()
+        }
+
+    def _alive(self, x: Any) -> Any:
+        """A state, which is no number in a lost run, so that it asks for no loops."""
+        first = np.where(self._is_lost, np.nan, x[:1])
+        return np.concatenate([first, x[1:]])
+
+    @property
+    def _x(self) -> Any:
+        return self._alive(self._cells.x)
+
     def touching(self) -> Made:
         """What becomes of forces that step several times, at an instant at which they step."""
-        signals, touches, made = self._states(self._cells.x), self._touches, list[Any]()
+        signals, touches, made = self._states(self._x), self._touches, list[Any]()
         for placed, block in self._sampled("forces"):
             if placed.cell != "touched":
                 continue
@@ -97,7 +172,7 @@ class TracedLoop:
                 outputs = touches[placed.name]
                 self._after["touched"] += self._memory(placed).values()
             made += [outputs[port] for port in self._blocks.touches[placed.name]]
-        return {"touch_after": joined(made), "touched_after": self._kept("touched")}
+        return self._unless_lost({"touch": joined(made), "touched": self._kept("touched")})
 
     def _sampled(self, kind: str) -> Iterator[tuple[Placed, Any]]:
         """The sampled blocks of a kind, with symbols."""
@@ -137,7 +212,7 @@ class TracedLoop:
     def _measured(self, now: Now) -> tuple[dict[str, Any], dict[str, Any]]:
         """The signals that the law can read, and results of the sample."""
         of, cells, nx = self._blocks, self._cells, self._blocks.nq + self._blocks.nv
-        known, hidden = self._states(cells.x).values()
+        known, hidden = self._states(self._x).values()
         signals = {"state": known, "true_state": known, "drift": cells.drift}
         if of.noisy:
             signals["white"] = cells.deviation * cells.noise
@@ -169,8 +244,8 @@ class TracedLoop:
         if of.quantized:
             force = quantize(force, cells.force_resolution)
         waiting = np.concatenate([force, cells.waiting])  # newest first
-        _, flown = self._flow(cells.x, {})
-        signals = {**self._states(cells.x), **flown}
+        _, flown = self._flow(self._x, {})
+        signals = {**self._states(self._x), **flown}
         signals["isolated"] = np.zeros(of.found("isolated"))  # a call ends the run before
         force = waiting[-of.nv :]
         for placed, block in self._sampled("actuation"):
@@ -226,7 +301,7 @@ class TracedLoop:
         each = [traced(force_at(now.time, cells.sines.reshape(4, -1)))]
         held = traced(np.zeros(of.nv + len(of.loose)))
         on_hidden = traced(np.zeros(len(of.loose)))
-        signals, touches = self._states(cells.x), self._touches
+        signals, touches = self._states(self._x), self._touches
         for placed, block in self._sampled("forces"):
             if (found := touches.get(placed.name, {})) == {}:
                 found = self._step(placed, block, signals, now)
@@ -238,8 +313,8 @@ class TracedLoop:
                 on_hidden = on_hidden + _at_instant(found, "hidden_force")
         if of.parts["last"]:
             before, _ = parted(cells.held_before, zeros(of.held))
-            others = self._others(cells.x, now.time, **before)[0]
-            for outputs in self._last(cells.x, now.time, others):
+            others = self._others(self._x, now.time, **before)[0]
+            for outputs in self._last(self._x, now.time, others):
                 each.append(outputs["generalized_force"])
                 measured |= {name: outputs[name] for name in of.shown_last if name in outputs}
         return {
@@ -333,7 +408,7 @@ class TracedLoop:
 
     def _corrections(self) -> list[Any]:
         """What the last forces correct from a sample on."""
-        signals = self._states(self._cells.x)
+        signals = self._states(self._x)
         return [self._parts["last"][name].correct(signals) for name in self._blocks.corrects]
 
 

@@ -87,7 +87,8 @@ class TracedSample:
         for name in set(run.states) - {"drift"}:
             first = places[name] - places["x"]
             self.start[first : first + self._sizes[name]] = run.states[name]
-        self._parameters = run.parameters | {"limit": np.full(blocks.nv, np.inf)}
+        free = {"limit": np.full(blocks.nv, np.inf), "bound": np.full(1, np.inf)}
+        self._parameters = run.parameters | free
         self._cells = self._filled(self._plain)
         self._row = np.zeros(sum(blocks.row.values()))  # without noise
         self._in_row = parts(blocks.row)
@@ -115,7 +116,8 @@ class TracedSample:
         code, cells = self._plain, self._cells
         first, force = code.places["x"], code.places["generalized_force"]
         cells[first : first + self.size, 0] = state
-        code.run(cells, self._read(index), index * self.sample_time)
+        self._set_sample(code, cells, index)
+        code.run(cells)
         found = cells[first : first + self.size, 0].copy()
         return found, cells[force : force + self._sizes["generalized_force"], 0].copy()
 
@@ -132,7 +134,8 @@ class TracedSample:
           directions: of the state and of its noise (n + m, k), white of deviation 1.
         """
         code, count = self._slopes, directions.shape[1]
-        start, width, row = self._filled(code), code.width, self._read(index)
+        start, width = self._filled(code), code.width
+        self._set_sample(code, start, index)
         if truth is not None:
             changed = self._run.carrying(truth).parameters
             for name in ("own", "parts"):
@@ -141,12 +144,11 @@ class TracedSample:
         directions = np.pad(directions, ((0, 0), (0, -count % width)))
         of_state = np.empty((self.size, directions.shape[1]))
         of_force = np.empty((self._sizes["generalized_force"], directions.shape[1]))
-        rows = np.repeat(row[:, None], width, axis=1)
         for first in range(0, count, width):
             part, cells = slice(first, first + width), start.copy()
             self._of(code, cells, "d_x", self.size)[:] = directions[: self.size, part]
             self._of(code, cells, "d_noise", self.num_noise)[:] = directions[self.size :, part]
-            code.run(cells, rows, index * self.sample_time)
+            code.run(cells)
             of_state[:, part] = self._of(code, cells, "d_x", self.size)
             of_force[:, part] = self._of(code, cells, "d_generalized_force", len(of_force))
         after = self._of(code, cells, "x", self.size)[:, 0].copy()
@@ -158,6 +160,12 @@ class TracedSample:
         for name, values in self._parameters.items():
             self._of(code, cells, name, values.size)[:] = values[:, None]
         return cells
+
+    def _set_sample(self, code: Step, cells: np.ndarray, index: int) -> None:
+        """Set the number of a sample in the cells, and what it reads."""
+        row = self._read(index)
+        cells[code.places["number"]], cells[code.places["lost"]] = index, 0.0
+        self._of(code, cells, "reference", row.size)[:] = row[:, None]
 
     def _read(self, index: int) -> np.ndarray:
         """What a sample reads (n), see ``Blocks.row``."""
