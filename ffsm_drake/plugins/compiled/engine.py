@@ -15,8 +15,8 @@ from ffsm_drake.plugins.compiled.called import Trial
 from ffsm_drake.plugins.compiled.compiling import llvm
 from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.lanes import Lanes
-from ffsm_drake.plugins.compiled.logs import COMPILED, RunLane
-from ffsm_drake.plugins.compiled.missions import NUDGE, Lane, MissionLane, advance, refusal
+from ffsm_drake.plugins.compiled.logs import COMPILED
+from ffsm_drake.plugins.compiled.missions import NUDGE, Lane, advance, refusal
 from ffsm_drake.plugins.compiled.run import Case, Run, case_of
 from ffsm_drake.plugins.compiled.schemes import SCHEMES
 from ffsm_drake.plugins.equations.comparison import held_to_drake
@@ -104,12 +104,13 @@ class Compiled(Engine):
             try:
                 self.check(scenario)
                 if scenario.approach is not None:
-                    lanes[index] = MissionLane(scenario)
+                    lanes[index] = Lane(scenario)
                     continue
                 if (same := all_but_controller(scenario)) not in cases:
                     cases[same] = case_of(scenario)
                 run = cases[same].run(scenario)
-                lanes[index] = RunLane(run, signals if (run.key, alone) in _judged else None)
+                is_known = (run.key, alone) in _judged
+                lanes[index] = Lane(scenario, run, signals if is_known else None)
             except NotCovered as error:
                 results[index] = error
             except FfsmError:  # Drake's run shows it
@@ -129,7 +130,7 @@ _judged, _refused = set[Any](), dict[Any, NotCovered]()
 
 def results_of(runs: Sequence[Run], *, alone: bool = False) -> list[RunLog | NotCovered | None]:
     """The results of runs of one phase. Args: see ``Kernel``."""
-    lanes = [RunLane(run) for run in runs]
+    lanes = [Lane(run.scenario, run) for run in runs]
     _go(lanes, alone=alone)
     return [lane.result for lane in lanes]
 
@@ -151,7 +152,7 @@ def _go(lanes: Sequence[Lane], *, alone: bool) -> None:
                 return other.result if isinstance(other.result, RunLog) else None
 
             try:
-                if _judge(lane.run, log, nudged, lane.whole):
+                if _judge(lane, log, nudged):
                     _judged.update(changes)
                 else:
                     lane.result = lane.lost
@@ -232,16 +233,14 @@ def _try_calls(kernel: Kernel, runs: Sequence[Run]) -> None:
     raise NotCovered(f"{runs[0].scenario.controller}: {'; '.join(said)}")
 
 
-def _judge(
-    run: Run, log: RunLog, nudged: Callable[[], RunLog | None], whole: Scenario | None = None
-) -> bool:
+def _judge(lane: Lane, log: RunLog, nudged: Callable[[], RunLog | None]) -> bool:
     """Compare a log with Drake's. False: the run ends in another way there. Raises NotCovered: they
     differ by more than rounding.
 
-    Args: the run; its log; what runs it with other last bits; the scenario of a run in phases.
+    Args: the run; its log; what runs it with other last bits.
     """
-    scenario = run.scenario if whole is None else whole
-    rollout = make_rollout(scenario, blocks=run.given if whole is None else None)
+    scenario, run = lane.scenario, lane.run
+    rollout = make_rollout(scenario, blocks=None if lane.own is None else lane.own.given)
     try:
         expected = rollout.run(scenario)
     finally:

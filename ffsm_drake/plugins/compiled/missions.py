@@ -17,14 +17,14 @@ from ffsm_drake.common.plugins import service
 from ffsm_drake.plugins.compiled.blocks import at_start, row, sizes_of
 from ffsm_drake.plugins.compiled.called import parts
 from ffsm_drake.plugins.compiled.kernel import Kernel, LaneEnd, LaneState
-from ffsm_drake.plugins.compiled.logs import RunLane, laws_of, log_of, planned_signals
+from ffsm_drake.plugins.compiled.logs import laws_of, log_of, planned_signals
 from ffsm_drake.plugins.compiled.noise import Noise
 from ffsm_drake.plugins.compiled.plans import plans_of
 from ffsm_drake.plugins.compiled.run import Case, Run
 from ffsm_drake.runs.ending import COMPLETED, Outcome
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.phases import Course, Phase
+from ffsm_drake.runs.phases import Course, Mission, Phase, Stop
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -32,15 +32,16 @@ from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.systems.sampled import Arrays
 
 NUDGE = 1.0 + np.finfo(float).eps  # changes last bits
+_LEFT = "its fault detection isolates a unit, or it diverges"
 _OWN = re.compile(r"(sensing|forces)\..*|supervisor|reference")  # blocks of a phase
 
 
 class LaneStage(Stage):
     """A ``Stage`` of a compiled run."""
 
-    def __init__(self, run: Run, sample: int) -> None:
-        """Args: the run of a phase, and the sample at which it begins."""
-        self.run, self.begin = run, LaneState({}, sample, sample)
+    def __init__(self, run: Run, begin: LaneState) -> None:
+        """Args: the run of a phase, and where it begins."""
+        self.run, self.begin = run, begin
         self._measured = np.zeros(0)  # at its end
         own = run.case.reference
         # memory of the reference at the begin and at the end of the phase
@@ -156,27 +157,45 @@ class LaneStage(Stage):
         self.begin = self.begin._replace(cells=cells)
 
 
-class MissionLane:
+class Lane:
     """A run on its way through its phases.
 
     ``result`` at the end: its log; NotCovered; or None, if it fails. Drake's run then shows how.
     """
 
-    signals = lost = None  # its log needs all signals, and has none if the run is lost
+    def __init__(
+        self,
+        scenario: Scenario,
+        own: Run | None = None,
+        signals: Collection[str] | None = None,
+        *,
+        nudge: float = 1.0,
+    ) -> None:
+        """Args:
+          scenario: the scenario.
+          own: the run, unless it has an approach.
+          signals: those that its log needs; None: all.
+          nudge: factor of its first state.
 
-    def __init__(self, scenario: Scenario, *, nudge: float = 1.0) -> None:
-        """Args: the scenario; factor of its first state. Raises the errors of a plan."""
-        self.whole, self._nudge, self._start = scenario, nudge, time.perf_counter()
-        mission = service("capture_mission", "capture.approach")
-        self._course = Course(mission(scenario), scenario)
-        self.result: RunLog | NotCovered | None = None
+        Raises the errors of a plan.
+        """
+        self.scenario, self.own, self.signals = scenario, own, signals
+        self._nudge, self._start = nudge, time.perf_counter()
+        mission = Mission(kinds={"": Stop()})
+        if scenario.grasps:
+            mission = service("capture_mission", "capture")(scenario)
+        self._course = Course(mission, scenario)
+        # what a run that is lost has for its log
+        is_detected = own is not None and own.case.detector is not None
+        self.lost = NotCovered(_LEFT) if is_detected else None
+        self.result: RunLog | NotCovered | None = self.lost
         self.steps = list[Any]()  # what its code depends on, from phase to phase
         self._noise: Noise | None = None
         self._build_time = 0.0
 
-    def nudged(self, nudge: float) -> "MissionLane":
+    def nudged(self, nudge: float) -> "Lane":
         """The same with another first state."""
-        return MissionLane(self.whole, nudge=nudge)
+        return Lane(self.scenario, self.own, nudge=nudge)
 
     def plan(self) -> bool:
         """Go to the begin of the next phase, if there is one."""
@@ -198,12 +217,23 @@ class MissionLane:
         if others := [name for name in phase.blocks if not _OWN.fullmatch(name)]:
             raise NotCovered(f"the block {min(others)} of a phase")
         first, last = self._course.sample, phase.names[-1][1]
-        plan = phase.scenario or self.whole
+        run = self.own or self._run_of(phase)
+        begin = LaneState(run.states if self.own else {}, first, first)
+        self._phase, self._stage, self.kind = phase, LaneStage(run, begin), self._course.kind
+        self._course.enter(phase, self._stage)
+        self._stage.follow()
+        if self._nudge != 1.0 and first == 0:
+            self._stage.place(self._stage.state * self._nudge)
+        self.ends = last is None
+        self.samples = (run.samples - 1 if last is None else last) - first
+
+    def _run_of(self, phase: Phase) -> Run:
+        plan = phase.scenario or self.scenario
         case = Case(
             plan,
             phase.grip,
-            first=first,
-            last=last,
+            first=self._course.sample,
+            last=phase.names[-1][1],
             motion=phase.motion,
             blocks=phase.blocks,
             joint_force=phase.joint_force,
@@ -212,13 +242,7 @@ class MissionLane:
         self._noise = case.noise
         run = Run(plan, case)
         run.given = dict(phase.blocks)
-        self._phase, self._stage, self.kind = phase, LaneStage(run, first), self._course.kind
-        self._course.enter(phase, self._stage)
-        self._stage.follow()
-        if self._nudge != 1.0 and first == 0:
-            self._stage.place(self._stage.state * self._nudge)
-        self.ends = last is None
-        self.samples = (case.samples - 1 if last is None else last) - first
+        return run
 
     @property
     def run(self) -> Run:
@@ -238,11 +262,12 @@ class MissionLane:
         """End the present phase. Args: the time spent to prepare and to run, s."""
         run, first, count = self.run, self.begin.sample, len(end.log["state"])
         rows = slice(first, first + count)
-        time_of = run.case.times[rows].copy()
-        planned = {name: values[rows].copy() for name, values in planned_signals(run.case).items()}
+        time_of, planned = run.case.times[rows], planned_signals(run.case)
+        needed = planned if self.signals is None else planned.keys() & {*self.signals}
+        found = {name: planned[name][rows] for name in needed}
         until = float(time_of[-1])
         outcome = Outcome(status=COMPLETED, time=until, message=f"completed {until:g} s")
-        log = log_of(run, {**planned, **end.log}, outcome, time_of, kernel.parts)
+        log = log_of(run, {**found, **end.log}, outcome, time_of, kernel.parts)
         spent = {**spent, "build": spent["build"] + self._build_time}
         self.steps.append((type(self.kind), run.key))
         self._stage.leave(end)
@@ -252,11 +277,12 @@ class MissionLane:
 
     @property
     def changes(self) -> set[Any]:
-        """Pairs of successive phases, each of which is compared with Drake once."""
+        """A run without approach, or pairs of successive phases: each is compared with Drake
+        once.
+        """
+        if self.own is not None:
+            return {self.own.key}
         return set(itertools.pairwise([None, *self.steps]))
-
-
-Lane = MissionLane | RunLane
 
 
 def advance(lanes: Iterable[Lane], kernel_of: Callable[[Sequence[Run]], Kernel]) -> None:
