@@ -226,7 +226,7 @@ def _made(
 
 def _as_system(made: Any, setup: BlockSetup, *, kind: str, place: str) -> Any:
     """Return the system around a block as functions; any other one unchanged."""
-    if isinstance(made, Continuous) and kind == "forces":
+    if isinstance(made, Continuous) and kind in ("reference", "forces"):
         return InstantSystem(made, name=setup.name)
     if not isinstance(made, Sampled):
         return made

@@ -6,26 +6,19 @@ from functools import partial
 
 import numpy as np
 from pydrake.multibody.tree import JacobianWrtVariable
-from pydrake.systems.framework import (
-    BasicVector,
-    Context,
-    Diagram,
-    DiagramBuilder,
-    DiscreteValues,
-    LeafSystem,
-)
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.lifetime import weak_callback
 from ffsm_drake.loop.blocks import DISTURBANCE, factory_of
 from ffsm_drake.scenario import Block
 from ffsm_drake.spacecraft.plant import find_body
 from ffsm_drake.systems.registry import call_factory
-from ffsm_drake.systems.setup import BlockSetup
+from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 
 
 def make_operated_disturbance(
     setup: BlockSetup, *, initial: np.ndarray, poll: Callable[[float, np.ndarray], np.ndarray]
-) -> Diagram:
+) -> CompositeBlock:
     """Return the force ``disturbance`` of a scenario, scaled by an operator, who also adds pushes.
 
     Args:
@@ -34,21 +27,18 @@ def make_operated_disturbance(
       poll: called with (time, q) at every control sample; returns [scale, F] (4) from the next
         sample on.
     """
-    builder = DiagramBuilder()
     choice = setup.scenario.blocks.choices().get(DISTURBANCE, Block())
     original = dataclasses.replace(setup, settings=choice.settings)
     factory = factory_of(DISTURBANCE, setup.scenario)
-    disturbance = builder.AddSystem(call_factory(factory, original, place=f"blocks.{DISTURBANCE}"))
-    operator = builder.AddNamedSystem("operator", OperatorInputs(setup, initial=initial, poll=poll))
-    builder.Connect(
-        disturbance.GetOutputPort("generalized_force"), operator.GetInputPort("disturbance")
+    disturbance = call_factory(factory, original, place=f"blocks.{DISTURBANCE}")
+    operator = OperatorInputs(setup, initial=initial, poll=poll)
+    return CompositeBlock(
+        "disturbance",
+        {"original": disturbance, "operator": operator},
+        inputs=("state",),
+        outputs=("generalized_force", "next_generalized_force"),
+        signals={"operator": {"disturbance": "generalized_force"}},
     )
-    builder.ExportInput(operator.GetInputPort("state"), "state")
-    if disturbance.HasInputPort("state"):
-        builder.ConnectInput("state", disturbance.GetInputPort("state"))
-    for name in ("generalized_force", "next_generalized_force"):
-        builder.ExportOutput(operator.GetOutputPort(name), name)
-    return builder.Build()
 
 
 class OperatorInputs(LeafSystem):

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 from pydrake.geometry import Meshcat
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.framework import Context, DiagramBuilder
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.loop.closed_loop import ClosedLoop
@@ -25,7 +25,7 @@ from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import EMPTY, HELD, Grip, Scenario
 from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.systems.planned_motion import PlannedMotion
-from ffsm_drake.systems.reference import reference_from
+from ffsm_drake.systems.reference import AlongMotion
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -311,6 +311,6 @@ class Course:
         return self._mission.finish(log, self._now)
 
 
-def _along(motion: PlannedMotion, setup: BlockSetup) -> Diagram:
+def _along(motion: PlannedMotion, setup: BlockSetup) -> AlongMotion:
     """Return the reference of a motion."""
-    return reference_from(motion)
+    return AlongMotion(motion=motion)

@@ -4,18 +4,18 @@
 runs at the stages of the integrator. The plug-in ``compiled`` evaluates them on its own symbols.
 """
 
-import functools
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from pydrake.symbolic import MakeVectorVariable
-from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder
+from pydrake.systems.framework import BasicVector, Context
 from pydrake.systems.primitives import Demultiplexer, SymbolicVectorSystem
 
 from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.systems.sampled import Arrays, BlockSystem
+from ffsm_drake.systems.sampled import Arrays, BlockSystem, DividedSystem
 from ffsm_drake.systems.selection import make_selector
+from ffsm_drake.systems.setup import CompositeBlock
 
 
 class Continuous:
@@ -48,7 +48,7 @@ class Continuous:
         raise NotImplementedError(f"{type(self).__name__} has no flow")
 
 
-class InstantSystem(BlockSystem):
+class InstantSystem(DividedSystem):
     """The Drake system of a ``Continuous`` block without a state of its own, which is called at the
     stages of the integrator. Its input ``time`` is no port.
 
@@ -57,56 +57,69 @@ class InstantSystem(BlockSystem):
 
     def __init__(self, block: Continuous, *, name: str) -> None:
         """Args: the block, and the name of the system."""
+        own = _Flowing(block)
+        own.set_name(f"{name}_at_instants")
+        super().__init__(name, own, list(block.outputs.values()), list(block.outputs))
+
+
+class _Flowing(BlockSystem):
+    """The function of ``InstantSystem``; one output with the block's outputs."""
+
+    def __init__(self, block: Continuous) -> None:
         super().__init__(block)
         self._ports = {
             each: self.DeclareVectorInputPort(each, size)
             for each, size in block.inputs.items()
             if each != "time"
         }
-        calc = weak_callback(self._calc)
-        for each, size in block.outputs.items():
-            self.DeclareVectorOutputPort(each, size, functools.partial(calc, each))
+        reads = {self.input_port_ticket(port.get_index()) for port in self._ports.values()}
+        if "time" in block.inputs:
+            reads.add(self.time_ticket())
+        if self._loaded:
+            reads.add(self.all_parameters_ticket())
+        self._names = tuple(block.outputs)
+        size = sum(block.outputs.values())
+        self.DeclareVectorOutputPort("result", size, weak_callback(self._calc), reads)
         untie(self)
-        self.set_name(name)
 
-    def _calc(self, name: str, context: Context, output: BasicVector) -> None:
+    def _calc(self, context: Context, output: BasicVector) -> None:
         inputs = {each: port.Eval(context) for each, port in self._ports.items()}
-        found, _ = self.block_at(context).flow(
-            {**inputs, "time": np.array([context.get_time()])}, {}
-        )
-        output.SetFromVector(found[name])
+        inputs["time"] = np.array([context.get_time()])
+        found, _ = self.block_at(context).flow(inputs, {})
+        output.SetFromVector(np.concatenate([found[name] for name in self._names]))
 
 
-class ContinuousSystem(Diagram):
+class ContinuousSystem(CompositeBlock):
     """The Drake system of a ``Continuous`` block."""
 
     def __init__(self, block: Continuous, *, name: str) -> None:
         """Args: the block; name of the system with the state."""
-        super().__init__()
-        self._block, start = block, block.start()
+        start = block.start()
         read = {each: block.entries.get(each, range(n)) for each, n in block.inputs.items()}
         given = {each: MakeVectorVariable(len(of), each) for each, of in read.items()}
         states = {each: MakeVectorVariable(value.size, each) for each, value in start.items()}
         with np.errstate(all="ignore"):  # Drake's expressions may leave flags behind
             outputs, rates = block.flow(given, states)
-        self._own = SymbolicVectorSystem(
+        own = SymbolicVectorSystem(
             input=_joined(given, read),
             state=_joined(states, states),
             dynamics=_joined(rates, states),
             output=_joined(outputs, block.outputs),
         )
-        builder, sizes = DiagramBuilder(), dict(block.inputs)
         places = [(index, entry) for index, of in enumerate(read.values()) for entry in of]
-        inputs = builder.AddNamedSystem("inputs", make_selector(sizes, {"read": places}))
-        builder.AddNamedSystem(name, self._own)
-        parts = builder.AddNamedSystem("outputs", Demultiplexer(list(block.outputs.values())))
-        builder.Connect(inputs.get_output_port(), self._own.get_input_port())
-        builder.Connect(self._own.get_output_port(), parts.get_input_port())
-        for index, each in enumerate(block.inputs):
-            builder.ExportInput(inputs.get_input_port(index), each)
-        for index, each in enumerate(block.outputs):
-            builder.ExportOutput(parts.get_output_port(index), each)
-        builder.BuildInto(self)
+        parts = {f"y{index}": each for index, each in enumerate(block.outputs)}
+        super().__init__(
+            name,
+            {
+                "inputs": make_selector(block.inputs, {"read": places}),
+                name: own,
+                "outputs": Demultiplexer(list(block.outputs.values())),
+            },
+            inputs=block.inputs,
+            outputs=block.outputs,
+            signals={name: {"u0": "read", "y0": "result"}, "outputs": {"u0": "result", **parts}},
+        )
+        self._block, self._own = block, own
 
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
         """The spacecraft is at ``state`` [q; v]."""

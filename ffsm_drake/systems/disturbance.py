@@ -3,14 +3,14 @@
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import System
 from pydrake.systems.primitives import Adder, ConstantVectorSource, Sine
 
 from ffsm_drake.scenario import Disturbance
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.selection import make_selector
-from ffsm_drake.systems.setup import BlockSetup
+from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 
 
 class HarmonicDisturbance(Part):
@@ -18,12 +18,12 @@ class HarmonicDisturbance(Part):
 
     title = "Disturbance"
 
-    def build(self, setup: BlockSetup) -> Diagram:
+    def build(self, setup: BlockSetup) -> CompositeBlock:
         """Return the force."""
         return make_disturbance(setup.scenario.disturbance, setup.coordinates)
 
 
-def make_disturbance(settings: Disturbance, coordinates: Coordinates) -> Diagram:
+def make_disturbance(settings: Disturbance, coordinates: Coordinates) -> CompositeBlock:
     """Return a source with output ``generalized_force``: amplitude sin(frequency t + phase) + bias,
     N m and N, (nv).
 
@@ -38,24 +38,16 @@ def make_disturbance(settings: Disturbance, coordinates: Coordinates) -> Diagram
     # neighbour.
     nv, odd = bias.size, bias.size % 2
     amplitude, frequency, phase = (np.append(each, np.zeros(odd)) for each in sines)
-    builder = DiagramBuilder()
-    harmonic = builder.AddNamedSystem("harmonic", Sine(amplitude, frequency, phase))
-    port = harmonic.get_output_port(0)
+    force = "generalized_force"
+    systems: dict[str, System] = {"harmonic": Sine(amplitude, frequency, phase)}
+    signals = {"harmonic": {"y0": force}}
     if odd:
-        kept = {"taken": [(0, i) for i in range(nv)]}
-        taken = builder.AddNamedSystem("taken", make_selector({"harmonics": port.size()}, kept))
-        builder.Connect(port, taken.get_input_port())
-        port = taken.get_output_port()
+        kept = {force: [(0, i) for i in range(nv)]}
+        systems["taken"] = make_selector({force: nv + odd}, kept)
     if bias.any():
-        biases = builder.AddNamedSystem("bias", ConstantVectorSource(bias))
-        biased = builder.AddNamedSystem("biased", Adder(2, bias.size))
-        builder.Connect(port, biased.get_input_port(0))
-        builder.Connect(biases.get_output_port(), biased.get_input_port(1))
-        port = biased.get_output_port()
-    builder.ExportOutput(port, "generalized_force")
-    diagram = builder.Build()
-    diagram.set_name("disturbance")
-    return diagram
+        systems |= {"bias": ConstantVectorSource(bias), "biased": Adder(2, nv)}
+        signals |= {"bias": {"y0": "bias"}, "biased": {"u0": force, "u1": "bias", "sum": force}}
+    return CompositeBlock("disturbance", systems, inputs=(), outputs=(force,), signals=signals)
 
 
 def force_at(time: Any, sines: Any) -> Any:

@@ -1,9 +1,12 @@
 """Rounding to multiples of a resolution."""
 
-import numpy as np
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+import dataclasses
+from collections.abc import Mapping
 
-from ffsm_drake.common.lifetime import weak_callback
+import numpy as np
+
+from ffsm_drake.systems.continuous import Continuous
+from ffsm_drake.systems.sampled import Arrays
 
 
 def quantize(values: np.ndarray, resolution: np.ndarray) -> np.ndarray:
@@ -14,21 +17,22 @@ def quantize(values: np.ndarray, resolution: np.ndarray) -> np.ndarray:
     return np.where(resolution > 0.0, np.round(values / steps) * steps, values)
 
 
-class Quantizer(LeafSystem):
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Quantizer(Continuous):
     """Rounds its input ``u`` to multiples of a resolution, output ``y``; see quantize."""
 
-    def __init__(self, resolution: np.ndarray) -> None:
-        super().__init__()
-        self._resolution = resolution
-        self._input = self.DeclareVectorInputPort("u", resolution.size)
-        # Depends on its input alone: while that is held, the integrator's stages read the cached
-        # value.
-        self.DeclareVectorOutputPort(
-            "y",
-            resolution.size,
-            weak_callback(self._calc),
-            {self.input_port_ticket(self._input.get_index())},
-        )
+    resolution: np.ndarray
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(quantize(self._input.Eval(context), self._resolution))
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See Continuous."""
+        return {"u": self.resolution.size}
+
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Continuous."""
+        return {"y": self.resolution.size}
+
+    def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
+        """See Continuous."""
+        return {"y": quantize(inputs["u"], self.resolution)}, {}

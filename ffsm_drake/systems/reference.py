@@ -15,13 +15,10 @@ v_0 this is the eigenaxis turn.
 
 import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import Demultiplexer
 
-from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.plugins import service
 from ffsm_drake.scenario import WHOLE, Grip, Posture, Scenario, planned_part
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -29,12 +26,14 @@ from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.blend import Blend, make_impulses
+from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.duration import shortest_duration
-from ffsm_drake.systems.frame_path import goal_frame, make_frame_path
+from ffsm_drake.systems.frame_path import FRAME_SIZE, goal_frame, make_frame_path
 from ffsm_drake.systems.part import UNIT, Part, Signal, state_signals
 from ffsm_drake.systems.plan import load_plan
 from ffsm_drake.systems.planned_motion import InTurn, PathMotion, PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
+from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.setup import BlockSetup
 
 # Variables of the record.
@@ -45,22 +44,6 @@ SIGNALS = (
         dimension="coordinate", held=False,
     ),
 )  # fmt: skip
-
-
-class _MotionSource(LeafSystem):
-    """The rows of a motion in one output: with two, Drake would call twice per sample."""
-
-    def __init__(self, motion: PlannedMotion) -> None:
-        super().__init__()
-        self._motion = motion
-        size = self._motion.row(0.0).size
-        self.DeclareVectorOutputPort(
-            "motion", size, weak_callback(self._calc_motion), {self.time_ticket()}
-        )
-        untie(self)
-
-    def _calc_motion(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._motion.row(context.get_time()))
 
 
 def make_motion(scenario: Scenario, coordinates: Coordinates, grip: Grip = WHOLE) -> PlannedMotion:
@@ -180,33 +163,42 @@ def timed(scenario: Scenario, grip: Grip = WHOLE) -> Scenario:
 class PlannedReference(Part):
     """The section ``reference``."""
 
-    def build(self, setup: BlockSetup) -> Diagram:
-        """Return a source of the planned motion, a function of time only.
-
-        Outputs:
-          desired_state: [q_d; v_d] (nq + nv).
-          desired_acceleration: time derivative of v_d (nv).
-          desired_frame: rows of ``make_frame_path`` (19), if the pose of a frame is prescribed.
-        """
+    def build(self, setup: BlockSetup) -> "AlongMotion":
+        """Return the block of the planned motion."""
         planned = make_motion(setup.scenario, setup.coordinates, setup.grip)
-        return reference_from(planned, make_frame_motion(setup.scenario, setup.nominal, planned))
+        frame = make_frame_motion(setup.scenario, setup.nominal, planned)
+        return AlongMotion(motion=planned, frame=frame)
 
 
-def reference_from(motion: PlannedMotion, frame: PlannedMotion | None = None) -> Diagram:
-    """The reference of a motion, and that of a frame whose pose is prescribed."""
-    builder, nv = DiagramBuilder(), len(motion.coordinates.names)
-    source = builder.AddNamedSystem("motion", _MotionSource(motion))
-    state = len(motion.coordinates.position_names) + nv
-    parts = builder.AddNamedSystem("parts", Demultiplexer([state, nv]))
-    builder.Connect(source.get_output_port(), parts.get_input_port())
-    builder.ExportOutput(parts.get_output_port(0), "desired_state")
-    builder.ExportOutput(parts.get_output_port(1), "desired_acceleration")
-    if frame is not None:
-        path = builder.AddNamedSystem("frame", _MotionSource(frame))
-        builder.ExportOutput(path.get_output_port(), "desired_frame")
-    reference = builder.Build()
-    reference.set_name("reference")
-    return reference
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class AlongMotion(Continuous):
+    """The reference of a motion, a function of time only, and of a frame whose pose is prescribed.
+
+    Outputs: ``desired_state`` [q_d; v_d] (nq + nv); ``desired_acceleration``, the time derivative
+    of v_d (nv); ``desired_frame``, rows of ``make_frame_path`` (19), with a frame.
+    """
+
+    motion: PlannedMotion
+    frame: PlannedMotion | None = None
+
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See Continuous."""
+        return {"time": 1}
+
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Continuous."""
+        nv = len(self.motion.coordinates.names)
+        sizes = {"desired_state": 2 * nv + 1, "desired_acceleration": nv}
+        return sizes if self.frame is None else {**sizes, "desired_frame": FRAME_SIZE}
+
+    def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
+        """See Continuous."""
+        time = inputs["time"].item()
+        desired, acceleration = np.split(self.motion.row(time), [self.outputs["desired_state"]])
+        found = {"desired_state": desired, "desired_acceleration": acceleration}
+        return found if self.frame is None else {**found, "desired_frame": self.frame.row(time)}, {}
 
 
 def make_frame_motion(

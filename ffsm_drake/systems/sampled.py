@@ -10,14 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import (
-    BasicVector,
-    Context,
-    Diagram,
-    DiagramBuilder,
-    DiscreteValues,
-    LeafSystem,
-)
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.errors import BlockError, choices
@@ -25,6 +18,7 @@ from ffsm_drake.common.guard import calling, is_user_supplied
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.returned import arrays, mapping, numbers
 from ffsm_drake.scenario import MassProperties
+from ffsm_drake.systems.setup import CompositeBlock, inputs_of, outputs_of
 
 Arrays = Mapping[str, np.ndarray]  # by name
 Ports = Mapping[str, int] | tuple[str, ...]
@@ -173,7 +167,33 @@ def _phase(block: Sampled, sample: int) -> tuple[Any, ...]:
     return tuple(block.phase(sample))
 
 
-class SampledSystem(Diagram):
+class DividedSystem(CompositeBlock):
+    """A system with an output ``result``, of which parts are outputs.
+
+    With several outputs, Drake would call a block for each of them.
+    """
+
+    def __init__(
+        self, name: str, own: "BlockSystem", sizes: Sequence[int], parts: Sequence[str]
+    ) -> None:
+        """Args: name; the system; sizes of all parts of its result; names of the first, "" of one
+        that is no output.
+        """
+        signals = {f"y{index}": part for index, part in enumerate(parts)}
+        super().__init__(
+            name,
+            {own.get_name(): own, "parts": Demultiplexer(sizes)},
+            inputs=[port.get_name() for port in inputs_of(own)],
+            outputs=[
+                *(port.get_name() for port in outputs_of(own) if port.get_name() != "result"),
+                *filter(None, parts),
+            ],
+            signals={"parts": {"u0": "result", **signals}},
+        )
+        self._own: Any = own
+
+
+class SampledSystem(DividedSystem):
     """The Drake system of a ``Sampled`` block.
 
     Discrete state, updated every ``sample_time``: the block's memory, a group for each name; of an
@@ -203,35 +223,17 @@ class SampledSystem(Diagram):
 
         Raises BlockError: a user-supplied block fails, or returns what it should not.
         """
-        super().__init__()
-        builder, place = DiagramBuilder(), place or name
+        place = place or name
         ports = (calling(place, getattr, block, name) for name in ("inputs", "outputs"))
         inputs, outputs = (sized(of, usual, place) for of in ports)
         own = _Stepping(block, inputs, outputs, sample_time, place, held=held)
         own.set_name(f"{name}_at_samples")
-        self._own = builder.AddSystem(own)
-        parts = builder.AddNamedSystem("parts", Demultiplexer(own.widths))
-        builder.Connect(own.GetOutputPort("result"), parts.get_input_port())
-        for index, each in enumerate(inputs):
-            builder.ExportInput(own.get_input_port(index), each)
-        for index, each in enumerate(outputs):
-            now = each
-            if own.HasOutputPort(each):
-                builder.ExportOutput(own.GetOutputPort(each), each)
-                now = NEXT + each
-            if now == each or (now not in outputs and block.per_sample == 1):
-                builder.ExportOutput(parts.get_output_port(index), now)
-        builder.BuildInto(self)
-        self.set_name(name)
-
-    def set_payload(self, context: Context, properties: MassProperties) -> None:
-        """Give the payload other mass properties."""
-        own = self.GetMutableSubsystemContext(self._own, context)
-        self._own.set_payload(own, properties)
-
-    def set_initial_state(self, context: Context, state: np.ndarray) -> None:
-        """The spacecraft was at ``state`` [q; v] before the start."""
-        self._own.set_initial_state(self.GetMutableSubsystemContext(self._own, context), state)
+        parts = list[str]()
+        for each in outputs:
+            now = NEXT + each if own.HasOutputPort(each) else each
+            is_shown = now == each or (now not in outputs and block.per_sample == 1)
+            parts.append(now if is_shown else "")
+        super().__init__(name, own, own.widths, parts)
 
     @property
     def block(self) -> Sampled:

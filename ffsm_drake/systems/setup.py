@@ -2,14 +2,21 @@
 
 import dataclasses
 import functools
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Context, Diagram
+from pydrake.systems.framework import (
+    Context,
+    Diagram,
+    DiagramBuilder,
+    InputPort,
+    OutputPort,
+    System,
+)
 
 from ffsm_drake.common.errors import some
-from ffsm_drake.scenario import Grip, Scenario
+from ffsm_drake.scenario import Grip, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
 
@@ -22,13 +29,77 @@ class _Settings(dict[str, Any]):
 
 
 class CompositeBlock(Diagram):
-    """A block of several systems; it passes the initial state to them."""
+    """A block of several systems, connected by signals; it passes the initial state to them.
+
+    An input port reads the signal of its name: the last output so named among the systems before,
+    else an input of the block, else an output of a later system.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        systems: Mapping[str, System],
+        *,
+        inputs: Collection[str],
+        outputs: Collection[str] = (),
+        signals: Mapping[str, Mapping[str, str]] = {},
+    ) -> None:
+        """Args:
+        name: of the block.
+        systems: by name.
+        inputs: signals that may come from outside the block.
+        outputs: signals that it puts out; default: all but ``inputs``.
+        signals: by name of a system, signals of ports of other names.
+        """
+        super().__init__()
+        builder, made, exported = DiagramBuilder(), dict[str, OutputPort](), set[str]()
+        waiting = list[tuple[str, InputPort]]()
+        for key, system in systems.items():
+            builder.AddNamedSystem(key, system)
+            own = signals.get(key, {})
+            for port in inputs_of(system):
+                signal = own.get(port.get_name(), port.get_name())
+                if signal in made:
+                    builder.Connect(made[signal], port)
+                elif signal in exported:
+                    builder.ConnectInput(signal, port)
+                elif signal in inputs:
+                    builder.ExportInput(port, signal)
+                    exported.add(signal)
+                else:
+                    waiting.append((signal, port))
+            for port in outputs_of(system):
+                made[own.get(port.get_name(), port.get_name())] = port
+        for signal, port in waiting:
+            builder.Connect(made[signal], port)
+        for signal in outputs or made.keys() - {*inputs}:
+            builder.ExportOutput(made[signal], signal)
+        builder.BuildInto(self)
+        self.set_name(name)
 
     def set_initial_state(self, context: Context, state: np.ndarray) -> None:
         """The spacecraft was at ``state`` [q; v] before the start."""
+        self._tell("set_initial_state", context, state)
+
+    def set_payload(self, context: Context, properties: MassProperties) -> None:
+        """Give the payload other mass properties."""
+        self._tell("set_payload", context, properties)
+
+    def _tell(self, method: str, context: Context, what: Any) -> None:
+        """Call a method of the systems that have it."""
         for system in self.GetSystems():
-            if hasattr(system, "set_initial_state"):
-                system.set_initial_state(self.GetMutableSubsystemContext(system, context), state)
+            if hasattr(system, method):
+                getattr(system, method)(self.GetMutableSubsystemContext(system, context), what)
+
+
+def inputs_of(system: System) -> list[InputPort]:
+    """Return the input ports of a system."""
+    return [system.get_input_port(index) for index in range(system.num_input_ports())]
+
+
+def outputs_of(system: System) -> list[OutputPort]:
+    """Return the output ports of a system."""
+    return [system.get_output_port(index) for index in range(system.num_output_ports())]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

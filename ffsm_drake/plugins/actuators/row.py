@@ -3,11 +3,10 @@ wheels, thrusters.
 """
 
 import dataclasses
-import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pydrake.systems.framework import DiagramBuilder, OutputPort, System
+from pydrake.systems.framework import System
 from pydrake.systems.primitives import DiscreteTimeDelay, PassThrough, Saturation
 
 from ffsm_drake.plugins.actuators.base import BaseActuators, Hit
@@ -17,7 +16,7 @@ from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
 from ffsm_drake.plugins.actuators.wheels import Gyroscopic, WheelSet
 from ffsm_drake.scenario import Actuation, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.continuous import Continuous, ContinuousSystem
+from ffsm_drake.systems.continuous import Continuous, ContinuousSystem, InstantSystem
 from ffsm_drake.systems.faults import detects, first_sample, hits
 from ffsm_drake.systems.part import Part
 from ffsm_drake.systems.quantization import Quantizer
@@ -28,35 +27,20 @@ from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 class Actuators(CompositeBlock):
     """Systems in a row from ``commanded_force`` to ``applied_force``, and some beside them.
 
-    The first ports of those in the row are forces. Other ports are connected by name: what one
-    puts out is an output, and input of others; ``state`` and ``isolated`` are inputs.
+    The first ports of those in the row are forces. Other ports are connected by name; ``state`` and
+    ``isolated`` are inputs.
     """
 
     def __init__(self, row: Mapping[str, System], beside: Mapping[str, System]) -> None:
-        super().__init__()
-        builder, chain, outputs = DiagramBuilder(), list(row.values()), dict[str, OutputPort]()
-        for name, system in (*row.items(), *beside.items()):
-            builder.AddNamedSystem(name, system)
-            for index in range(int(name in row), system.num_output_ports()):
-                port = system.get_output_port(index)
-                outputs[port.get_name()] = port
-                builder.ExportOutput(port, port.get_name())
-        for before, after in itertools.pairwise(chain):
-            builder.Connect(before.get_output_port(0), after.get_input_port(0))
-        builder.ExportInput(chain[0].get_input_port(0), "commanded_force")
-        builder.ExportOutput(chain[-1].get_output_port(0), "applied_force")
-        systems = [*chain, *beside.values()]
-        for name in ("state", "isolated", *outputs):
-            ports = [each.GetInputPort(name) for each in systems if each.HasInputPort(name)]
-            if ports and name not in outputs:
-                builder.ExportInput(ports.pop(0), name)
-            for port in ports:
-                if name in outputs:
-                    builder.Connect(outputs[name], port)
-                else:
-                    builder.ConnectInput(name, port)
-        builder.BuildInto(self)
-        self.set_name("actuation")
+        forces = dict[str, dict[str, str]]()
+        for name, system in row.items():
+            after = "applied_force" if name == [*row][-1] else "commanded_force"
+            forces[name] = {
+                system.get_input_port(0).get_name(): "commanded_force",
+                system.get_output_port(0).get_name(): after,
+            }
+        inputs = ("commanded_force", "state", "isolated")
+        super().__init__("actuation", {**row, **beside}, inputs=inputs, signals=forces)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -179,7 +163,7 @@ def _make_limits(
     if np.isfinite(limit).any():
         row["saturation"] = Saturation(-limit, limit)
     if resolution.any():
-        row["quantizer"] = Quantizer(resolution)
+        row["quantizer"] = InstantSystem(Quantizer(resolution=resolution), name="quantizer")
     if settings.delay > 0:
         # A delay block reads its input before the controller's update of the same instant: one
         # sample late by itself.

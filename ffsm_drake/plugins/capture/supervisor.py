@@ -13,25 +13,18 @@ every limit. The law restarts. Before the grasp, it replans immediately, without
 damping, back to the start of the approach.
 """
 
-import functools
-from collections.abc import Iterator, Sequence
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from pydrake.systems.framework import (
-    BasicVector,
-    Context,
-    Diagram,
-    DiagramBuilder,
-    LeafSystem,
-)
 
-from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.plugins.capture.modes import Cause, Mode, Supervising, Supervisor, supervising
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.systems.continuous import Continuous, InstantSystem
 from ffsm_drake.systems.part import STEPS, Figure, Metric, Part, Signal, Signals, View
 from ffsm_drake.systems.planned_motion import PlannedMotion
-from ffsm_drake.systems.sampled import SampledSystem
-from ffsm_drake.systems.setup import BlockSetup
+from ffsm_drake.systems.sampled import Arrays, SampledSystem
+from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 
 
 class SupervisorPart(Part):
@@ -53,9 +46,28 @@ class SupervisorPart(Part):
         """The supervisor of a scenario."""
         return None if scenario.supervisor is None else cls()
 
-    def build(self, setup: BlockSetup) -> Diagram:
-        """The block."""
-        return _System(self.supervisor(setup), setup)
+    def build(self, setup: BlockSetup) -> CompositeBlock:
+        """Return the block.
+
+        Inputs: those of ``supervisor``, and the plan. Outputs: ``desired_state``,
+        ``desired_acceleration``, ``generalized_force``, ``restart`` (1: the law starts afresh at
+        this sample), ``mode``, ``mode_cause``.
+        """
+        supervisor = self.supervisor(setup)
+        plan, command = _Plan(supervisor=supervisor), _Command(size=supervisor.outputs["force"])
+        passed = (*plan.outputs, *command.outputs)
+        return CompositeBlock(
+            "supervisor",
+            {
+                "plan": InstantSystem(plan, name="plan"),
+                "supervising": SampledSystem(
+                    supervisor, name="supervising", sample_time=setup.sample_time, held=True
+                ),
+                "command": InstantSystem(command, name="command"),
+            },
+            inputs=(*passed, "estimated_state", "abort_request"),
+            outputs=(*passed, "restart", "mode", "mode_cause"),
+        )
 
     def supervisor(self, setup: BlockSetup) -> "Supervisor":
         """Return what the block does. Raises ScenarioError: no force has a limit."""
@@ -134,90 +146,61 @@ def _events(run: View) -> Iterator[tuple[float, Mode]]:
         yield float(run.time[k]), Mode(int(modes[k]))
 
 
-class _System(Diagram):
-    """The Drake system. Inputs: those of the block. Outputs: ``desired_state``,
-    ``desired_acceleration``, ``generalized_force``, ``restart`` (1: the law starts afresh at this
-    sample), ``mode``, ``mode_cause``.
-    """
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Plan(Continuous):
+    """The plan that the law follows, or what replaces it."""
 
-    def __init__(self, supervisor: Supervisor, setup: BlockSetup) -> None:
-        super().__init__()
-        builder = DiagramBuilder()
-        own = SampledSystem(
-            supervisor, name="supervising", sample_time=setup.sample_time, held=True
-        )
-        own, passing = (
-            builder.AddSystem(own),
-            builder.AddNamedSystem("passing", _Passing(supervisor)),
-        )
-        for port in map(passing.get_input_port, range(passing.num_input_ports())):
-            if own.HasOutputPort(name := port.get_name()):
-                builder.Connect(own.GetOutputPort(name), port)
-        for name in _PASSED:
-            builder.ExportInput(passing.GetInputPort(f"given_{name}"), name)
-            builder.ExportOutput(passing.GetOutputPort(name), name)
-        builder.ConnectInput("generalized_force", own.GetInputPort("generalized_force"))
-        builder.Connect(passing.GetOutputPort("desired_state"), own.GetInputPort("desired_state"))
-        for name in ("estimated_state", "abort_request"):
-            builder.ExportInput(own.GetInputPort(name), name)
-        for name in ("restart", "mode", "mode_cause"):
-            builder.ExportOutput(own.GetOutputPort(name), name)
-        builder.BuildInto(self)
+    supervisor: Supervisor
+    # a cache: the motions of new plans, by their rows
+    motions: dict[bytes, PlannedMotion] = dataclasses.field(default_factory=dict)
 
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See Continuous."""
+        sizes = self.supervisor.outputs
+        read = {name: sizes[name] for name in ("mode", "held", "plan")}
+        return {**self.outputs, **read, "time": 1}
 
-_PASSED = "desired_state", "desired_acceleration", "generalized_force"
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Continuous."""
+        sizes = self.supervisor.outputs
+        return {"desired_state": sizes["held"], "desired_acceleration": sizes["force"]}
 
-
-class _Passing(LeafSystem):
-    """What the supervisor lets pass: the plan, or what replaces it; and the force."""
-
-    def __init__(self, supervisor: Supervisor) -> None:
-        super().__init__()
-        self._supervisor, sizes = supervisor, supervisor.block.outputs
-        given = dict(zip(_PASSED, (sizes["held"], sizes["force"], sizes["force"]), strict=True))
-        self._ports = {
-            f"given_{name}": self.DeclareVectorInputPort(f"given_{name}", size)
-            for name, size in given.items()
-        }
-        for name in ("mode", "held", "plan", "restart", "force"):
-            self._ports[name] = self.DeclareVectorInputPort(name, sizes[name])
-        of_motion, of_force = (
-            {self.input_port_ticket(self._ports[name].get_index()) for name in names}
-            for names in (
-                ("given_desired_state", "given_desired_acceleration", "mode", "held", "plan"),
-                ("given_generalized_force", "restart", "force"),
-            )
-        )
-        of_motion.add(self.time_ticket())
-        for index, (name, size) in enumerate(given.items()):
-            calc = functools.partial(weak_callback(self._calc), index)
-            reads = of_force if name == "generalized_force" else of_motion
-            self.DeclareVectorOutputPort(name, size, calc, reads)
-        self._motion_of: tuple[bytes, PlannedMotion] | None = None  # a cache, of a new plan's row
-        untie(self)
-
-    def _calc(self, index: int, context: Context, output: BasicVector) -> None:
-        if index == _PASSED.index("generalized_force"):
-            names = "restart", "force", "given_generalized_force"
-            memory = {name: self._ports[name].Eval(context) for name in names}
-            output.SetFromVector(Supervising.give(memory, memory.pop(names[-1])))
-        else:
-            output.SetFromVector(self._motion(context)[index])
-
-    def _motion(self, context: Context) -> tuple[np.ndarray, ...]:
-        """[q_d; v_d] and a_d of the plan in force; in rate damping the state last measured."""
-        memory = {name: self._ports[name].Eval(context) for name in ("mode", "held", "plan")}
-        if memory["plan"][1] > 0.0:
-            given = self._along(memory["plan"], context.get_time())
-        else:
-            given = [self._ports[f"given_{name}"].Eval(context) for name in _PASSED[:2]]
-        return Supervising.follow(memory, *given)
+    def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
+        """See Continuous; in rate damping the state last measured."""
+        plan, given = inputs["plan"], [inputs[name] for name in self.outputs]
+        if plan[1] > 0.0:
+            given = self._along(plan, inputs["time"].item())
+        followed = Supervising.follow(inputs, *given)
+        return dict(zip(self.outputs, followed, strict=True)), {}
 
     def _along(self, plan: np.ndarray, time: float) -> list[np.ndarray]:
         """[q_d; v_d] and a_d of a new plan."""
-        key, since, step = plan.tobytes(), time - plan[0], self._supervisor.block.sample_time
-        if self._motion_of is None or self._motion_of[0] != key:
-            self._motion_of = key, self._supervisor.motion(plan)
+        key, since, step = plan.tobytes(), time - plan[0], self.supervisor.block.sample_time
+        if key not in self.motions:
+            self.motions[key] = self.supervisor.motion(plan)
         sample = round(since / step) * step
-        row = self._motion_of[1].row(sample if abs(sample - since) < 1e-9 else since)
+        row = self.motions[key].row(sample if abs(sample - since) < 1e-9 else since)
         return np.split(row, [len(plan) - 3])
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Command(Continuous):
+    """The command in place of the law's force."""
+
+    size: int  # nv
+
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See Continuous."""
+        return {**self.outputs, "restart": 1, "force": self.size}
+
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Continuous."""
+        return {"generalized_force": self.size}
+
+    def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
+        """See Continuous."""
+        return {"generalized_force": Supervising.give(inputs, inputs["generalized_force"])}, {}

@@ -2,28 +2,29 @@
 
 import numpy as np
 from pydrake.common import RandomDistribution
-from pydrake.systems.framework import Diagram, DiagramBuilder, System
+from pydrake.systems.framework import System
 from pydrake.systems.primitives import Gain, LinearSystem, RandomSource
 
 from ffsm_drake.systems.sensing.errors import SensorErrors
+from ffsm_drake.systems.setup import CompositeBlock
 
 
-class Noise(Diagram):
+class Noise(CompositeBlock):
     """Gaussian noise, output ``noise``: a shaping system gets independent samples of deviation 1,
     one for each control period and input.
     """
 
     def __init__(self, name: str, shaped_by: System, *, sample_time: float) -> None:
-        super().__init__()
-        builder = DiagramBuilder()
-        builder.AddNamedSystem("shaped", shaped_by)
         size = shaped_by.get_input_port().size()
         samples = RandomSource(RandomDistribution.kGaussian, size, sample_time)
-        builder.AddNamedSystem("samples", samples)
-        builder.Connect(samples.get_output_port(), shaped_by.get_input_port())
-        builder.ExportOutput(shaped_by.get_output_port(), "noise")
-        builder.BuildInto(self)
-        self.set_name(name)
+        signals = {"shaped": {"u0": "samples", "y0": "noise"}, "samples": {"output": "samples"}}
+        super().__init__(
+            name,
+            {"shaped": shaped_by, "samples": samples},
+            inputs=(),
+            outputs=("noise",),
+            signals=signals,
+        )
 
 
 def white_noise(errors: SensorErrors) -> Noise:

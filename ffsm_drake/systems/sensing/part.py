@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import System
 from pydrake.systems.primitives import Adder
 
 from ffsm_drake.scenario import Sensing as SensingSettings
@@ -26,29 +26,21 @@ class Sensing(CompositeBlock):
 
     def __init__(self, errors: SensorErrors) -> None:
         """Args: the errors of the sensors."""
-        super().__init__()
-        builder, block = DiagramBuilder(), measurement_of(errors)
+        block = measurement_of(errors)
         # Each draws its seed in turn, so that the white noise does not depend on the drift.
-        noise = {"white": builder.AddSystem(white_noise(errors))}
+        systems: dict[str, System] = {"white_noise": white_noise(errors)}
+        signals = {"white_noise": {"noise": "white"}, "drift": {"noise": "drift"}}
         if block.drifting:
-            noise["drift"] = builder.AddSystem(drift(errors))
+            systems["drift"] = drift(errors)
         if block.is_plain:  # no Python is called
-            noisy = builder.AddNamedSystem("noisy", Adder(2, block.size))
-            builder.ExportInput(noisy.get_input_port(0), "state")
-            builder.Connect(noise["white"].get_output_port(), noisy.get_input_port(1))
-            builder.ExportOutput(noisy.get_output_port(), "estimated_state")
+            systems["noisy"] = Adder(2, block.size)
+            signals["noisy"] = {"u0": "state", "u1": "white", "sum": "estimated_state"}
         else:
-            sensors = builder.AddSystem(
-                SampledSystem(block, name="sensors", sample_time=errors.sample_time)
-            )
-            builder.ExportInput(sensors.GetInputPort("state"), "state")
-            for name, source in noise.items():
-                if sensors.HasInputPort(name):
-                    builder.Connect(source.get_output_port(), sensors.GetInputPort(name))
-            for name in block.outputs:
-                builder.ExportOutput(sensors.GetOutputPort(name), name)
-        builder.BuildInto(self)
-        self.set_name("sensing")
+            period = errors.sample_time
+            systems["sensors"] = SampledSystem(block, name="sensors", sample_time=period)
+        super().__init__(
+            "sensing", systems, inputs=("state",), outputs=block.outputs, signals=signals
+        )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
