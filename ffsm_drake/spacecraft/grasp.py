@@ -60,3 +60,16 @@ class Contact:
     spin_after: np.ndarray
     compliant: CompliantGrasp | None  # with a compliance of the gripper
     split: StateSplit
+
+
+def plastic_impact(
+    mass_matrix: np.ndarray, constraints: np.ndarray, velocity: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The velocity v+ (nv) just after constraints A v+ = 0 act, M v+ = M v + A' lambda, and the
+    impulses lambda (m).
+
+    Args: M (nv, nv); A (m, nv); v (nv).
+    """
+    inverse = np.linalg.solve(mass_matrix, constraints.T)
+    impulses = np.linalg.solve(constraints @ inverse, -constraints @ velocity)
+    return velocity + inverse @ impulses, impulses

@@ -114,7 +114,9 @@ class PlantModel:
         return np.array(found)
 
     @stacked
-    def calc_jacobian(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
+    def calc_jacobian(
+        self, q: np.ndarray, frame: Frame | str, seen_from: Frame | None = None
+    ) -> np.ndarray:
         """Return the Jacobian J (..., 6, nv) of a frame F in configurations q (..., nq): [w_WF;
         v_WF] = J v, world axes.
 
@@ -124,38 +126,42 @@ class PlantModel:
           q: (..., nq).
           frame: the frame, or its scoped name, such as ``servicer::end_effector`` or, for a body's
             frame, ``debris::debris``.
+          seen_from: a frame in place of the world, whose axes are used then.
 
         Raises ModelError if there is no such frame.
         """
         self._set_state(q)
-        world = self.plant.world_frame()
+        world = seen_from or self.plant.world_frame()
         return self.plant.CalcJacobianSpatialVelocity(
             self.context, JacobianWrtVariable.kV, self._frame(frame), np.zeros(3), world, world
         )
 
     @stacked
     def calc_bias_acceleration(
-        self, q: np.ndarray, v: np.ndarray, frame: Frame | str
+        self, q: np.ndarray, v: np.ndarray, frame: Frame | str, seen_from: Frame | None = None
     ) -> np.ndarray:
         """J' v (..., 6) of a frame F: its [alpha_WF; a_WF] at constant v (..., nv), rad/s^2, m/s^2.
 
         a_WF is the acceleration of F's origin; world axes. Args and errors as ``calc_jacobian``.
         """
         self._set_state(q, v)
-        world = self.plant.world_frame()
+        world = seen_from or self.plant.world_frame()
         bias = self.plant.CalcBiasSpatialAcceleration(
             self.context, JacobianWrtVariable.kV, self._frame(frame), np.zeros(3), world, world
         )
         return np.array(bias.get_coeffs())
 
     @stacked
-    def calc_frame_pose(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
+    def calc_frame_pose(
+        self, q: np.ndarray, frame: Frame | str, seen_from: Frame | None = None
+    ) -> np.ndarray:
         """[quaternion (w, x, y, z) of R_WF; p_WF] (..., 7) of a frame F; p_WF in m.
 
         Args and errors as ``calc_jacobian``.
         """
         self._set_state(q)
-        X_WF = self._frame(frame).CalcPoseInWorld(self.context)
+        world = seen_from or self.plant.world_frame()
+        X_WF = self._frame(frame).CalcPose(self.context, world)
         return np.concatenate([X_WF.rotation().ToQuaternion().wxyz(), X_WF.translation()])
 
     def calc_frame_rotation(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem, System
 from pydrake.systems.primitives import Demultiplexer
 
 from ffsm_drake.common.errors import BlockError, choices
@@ -179,16 +179,19 @@ class DividedSystem(CompositeBlock):
         """Args: name; the system; sizes of all parts of its result; names of the first, "" of one
         that is no output.
         """
-        signals = {f"y{index}": part for index, part in enumerate(parts)}
+        systems: dict[str, System] = {own.get_name(): own}
+        signals = {own.get_name(): {"result": parts[0]}}
+        if len(sizes) > 1:  # Drake calls what reads a part anew at every stage
+            systems["parts"] = Demultiplexer(sizes)
+            named = {f"y{index}": part for index, part in enumerate(parts)}
+            signals = {"parts": {"u0": "result", **named}}
+        held = [port.get_name() for port in outputs_of(own) if port.get_name() != "result"]
         super().__init__(
             name,
-            {own.get_name(): own, "parts": Demultiplexer(sizes)},
+            systems,
             inputs=[port.get_name() for port in inputs_of(own)],
-            outputs=[
-                *(port.get_name() for port in outputs_of(own) if port.get_name() != "result"),
-                *filter(None, parts),
-            ],
-            signals={"parts": {"u0": "result", **signals}},
+            outputs=[*held, *filter(None, parts)],
+            signals=signals,
         )
         self._own: Any = own
 
@@ -266,6 +269,10 @@ class BlockSystem(LeafSystem):
         """Give the payload other mass properties."""
         if self._loaded:
             context.get_mutable_abstract_parameter(self._given).set_value((properties,))
+
+    def exchange(self, block: Any) -> None:
+        """Put another block with the same ports in its place."""
+        self._block, self._payload = block, ()
 
     def block_at(self, context: Context) -> Any:
         """Return the block with the payload of a context."""

@@ -23,12 +23,12 @@ class MeanThrusters(Sampled):
     """The base's wrench, with some entries held over a control frame.
 
     Input: ``commanded_force`` (nv). Output: ``applied_force`` (nv). Memory: the held wrench and the
-    owed impulse (6 each). Phase: whether a frame begins.
+    owed impulse (6 each). Phase: samples since a frame began.
     """
 
     num_velocities: int
     sample_time: float  # s
-    phase_period: int  # control samples of a frame
+    frame: int  # its control samples
     is_held: np.ndarray  # (6) entries of the wrench that are held over a frame
     is_owed: np.ndarray  # (6) and whose missing impulse is given in the next frame
     acts = True
@@ -43,19 +43,24 @@ class MeanThrusters(Sampled):
         """See Sampled."""
         return {"applied_force": self.num_velocities}
 
+    @property
+    def phase_period(self) -> int:
+        """See Sampled."""
+        return self.frame
+
     def start(self, state: np.ndarray | None = None) -> Arrays:
         """See Sampled."""
         return {"held": np.zeros(6), "owed": np.zeros(6)}
 
     def phase(self, sample: Any) -> Sequence[Any]:
         """See Sampled."""
-        return [(sample % self.phase_period == 0) * 1.0]
+        return [sample % self.frame]
 
     def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
         """See Sampled."""
         commanded, rest = np.split(inputs["commanded_force"], [6])
-        given = commanded + memory["owed"] / (self.phase_period * self.sample_time)
-        if not now.phase[0]:
+        given = commanded + memory["owed"] / (self.frame * self.sample_time)
+        if now.phase[0]:
             given = np.where(self.is_held, memory["held"], given)
         owed = self.is_owed * (memory["owed"] + (commanded - given) * self.sample_time)
         return {"applied_force": np.concatenate([given, rest])}, {"held": given, "owed": owed}
@@ -72,7 +77,7 @@ def make_mean_actuation(setup: BlockSetup) -> Actuators | None:
         mean = MeanThrusters(
             num_velocities=len(coordinates.names),
             sample_time=period,
-            phase_period=thrusters.frame,
+            frame=thrusters.frame,
             is_held=is_held,
             is_owed=is_held & (thrusters.modulator != "pwpf"),
         )

@@ -231,7 +231,7 @@ def closed_chain(
     (m, nv) of the closed loops.
     """
     found: tuple[np.ndarray, np.ndarray]
-    found = service("closed_chain", "contacts")(scenario, model.plant, model.context, q, **how)
+    found = service("closed_chain", "contacts")(scenario, model, q, **how)
     return found
 
 

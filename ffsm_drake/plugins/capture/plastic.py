@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ffsm_drake.spacecraft.grasp import Grasp
+from ffsm_drake.spacecraft.grasp import Grasp, plastic_impact
 
 
 def plastic_grasp(
@@ -56,8 +56,7 @@ def plastic_grasp(
         after[free] = np.linalg.solve(mass_matrix[np.ix_(free, free)], p[free])
         brakes[list(braked)] = (mass_matrix @ after - p)[list(braked)]
     if constraints is not None:
-        inverse = np.linalg.solve(mass_matrix, constraints.T)
-        after -= inverse @ np.linalg.solve(constraints @ inverse, constraints @ after)
+        after, _ = plastic_impact(mass_matrix, constraints, after)
     target_momentum = target_inertia @ target_velocity
     held = target_inertia @ (jacobian @ velocity)  # momentum of a target moving with the arm
     return Grasp(

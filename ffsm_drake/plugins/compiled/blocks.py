@@ -190,7 +190,8 @@ class Blocks:
     def corrects(self) -> dict[str, int]:
         """The last forces with a correction, which a sample makes: numbers in each."""
         of = self.parts["last"].items()
-        return {name: each.num_corrections for name, each in of if hasattr(each, "correct")}
+        sizes = {name: each.inputs.get("correction", 0) for name, each in of}
+        return {name: size for name, size in sizes.items() if size}
 
     @property
     def held(self) -> dict[str, int]:

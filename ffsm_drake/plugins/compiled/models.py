@@ -41,17 +41,24 @@ class TracedModel(PlantModel):
         """See PlantModel."""
         return traced(equations.derivative(self.tree, q, v, force, self.own)[len(q) :])
 
-    def calc_jacobian(self, q: Any, frame: Any) -> Any:
+    def calc_jacobian(self, q: Any, frame: Any, seen_from: Any = None) -> Any:
         """See PlantModel."""
+        if seen_from is not None:
+            return frames.relative_jacobian(self.tree, _known(frame), _known(seen_from), q)
         return frames.jacobian(self.tree, _known(frame), q)
 
-    def calc_bias_acceleration(self, q: Any, v: Any, frame: Any) -> Any:
+    def calc_bias_acceleration(self, q: Any, v: Any, frame: Any, seen_from: Any = None) -> Any:
         """See PlantModel."""
+        if seen_from is not None:
+            return frames.relative_bias(self.tree, _known(frame), _known(seen_from), q, v)
         return frames.bias_acceleration(self.tree, _known(frame), q, v)
 
-    def calc_frame_pose(self, q: Any, frame: Any) -> Any:
+    def calc_frame_pose(self, q: Any, frame: Any, seen_from: Any = None) -> Any:
         """See PlantModel."""
         rotation, origin = frames.pose(self.tree, _known(frame), q)
+        if seen_from is not None:
+            own, from_there = frames.pose(self.tree, _known(seen_from), q)
+            rotation, origin = own.T @ rotation, own.T @ (origin - from_there)
         return traced([*quaternion_of(rotation), *origin])
 
     def calc_frame_rotation(self, q: Any, frame: Any) -> Any:
@@ -79,10 +86,10 @@ def _known(frame: Any) -> Place:
 class PosedModel(PlantModel):
     """A model that computes a frame's poses in many configurations at once."""
 
-    def calc_frame_pose(self, q: Any, frame: Any) -> Any:
+    def calc_frame_pose(self, q: Any, frame: Any, seen_from: Any = None) -> Any:
         """See PlantModel."""
         if q.ndim == 1 or isinstance(frame, str):
-            return super().calc_frame_pose(q, frame)
+            return super().calc_frame_pose(q, frame, seen_from)
         reader = reader_of(self.plant)
         rotation, origin = frames.pose(reader.tree, reader.place_of(frame), q)
         quaternion = np.stack(quaternion_of(np.moveaxis(rotation, (-2, -1), (0, 1))), axis=-1)

@@ -101,6 +101,31 @@ def bias_acceleration(tree: Tree, place: Place, q: Any, v: Any) -> Any:
     return np.concatenate([alpha, acceleration + _of_shift(turning, alpha, shift)])
 
 
+def relative_jacobian(tree: Tree, place: Place, other: Place, q: Any) -> Any:
+    """J (6, nv) of a frame F as another one, G, sees it: [w_GF; v_GF] = J v, in G's axes."""
+    (grasp, origin), (_, tip) = (pose(tree, each, q) for each in (other, place))
+    (turns, moves), (turns_F, moves_F) = (
+        np.split(jacobian(tree, each, q), 2) for each in (other, place)
+    )
+    across = np.cross(turns.T, tip - origin).T
+    return np.concatenate([grasp.T @ (turns_F - turns), grasp.T @ (moves_F - moves - across)])
+
+
+def relative_bias(tree: Tree, place: Place, other: Place, q: Any, v: Any) -> Any:
+    """[alpha_GF; a_GF] (6) at constant v of a frame F as another one, G, sees it, in G's axes."""
+    (grasp, origin), (_, tip) = (pose(tree, each, q) for each in (other, place))
+    (alpha, a), (alpha_F, a_F) = (
+        np.split(bias_acceleration(tree, each, q, v), 2) for each in (other, place)
+    )
+    (w, u), (w_F, u_F) = (np.split(twist(tree, each, q, v), 2) for each in (other, place))
+    arm = tip - origin
+    around = np.cross(w, arm)
+    turning = alpha_F - alpha - np.cross(w, w_F - w)
+    moving = a_F - a - np.cross(alpha, arm) - np.cross(w, around)
+    moving = moving - 2.0 * np.cross(w, u_F - u - around)
+    return np.concatenate([grasp.T @ turning, grasp.T @ moving])
+
+
 def _of_shift(turning: Any, alpha: Any, shift: Any) -> Any:
     """The acceleration of a point of a body from its origin's."""
     return np.cross(alpha, shift) + np.cross(turning, np.cross(turning, shift))

@@ -3,45 +3,27 @@
 import dataclasses
 import functools
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
 
 import numpy as np
-from pydrake.common import RandomDistribution
-from pydrake.systems.framework import (
-    BasicVector,
-    Context,
-    Diagram,
-    DiagramBuilder,
-    DiscreteValues,
-    LeafSystem,
-)
-from pydrake.systems.primitives import (
-    Adder,
-    ConstantVectorSource,
-    Demultiplexer,
-    Gain,
-    RandomSource,
-)
-from scipy.linalg import block_diag
-from scipy.linalg.lapack import dposv
+from pydrake.systems.framework import Context, System
+from pydrake.systems.primitives import Adder, ConstantVectorSource, Gain
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.common.numbers import short
 from ffsm_drake.loop import blocks
-from ffsm_drake.plugins.two_arms.chain import ClosedChain
-from ffsm_drake.plugins.two_arms.flow import ContactFlow, contact_flow
-from ffsm_drake.scenario import Grip, MassProperties, Scenario
+from ffsm_drake.plugins.two_arms.flow import GAP, WRENCHES, ContactFlow, contact_flow
+from ffsm_drake.scenario import Grip, Scenario
 from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.scenario.contacts import ALL_HANDS, WRENCH, Contact, closing_contacts
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.grasp import plastic_impact
 from ffsm_drake.spacecraft.limits import Limit
-from ffsm_drake.spacecraft.nominal import change_payload, damping_of, make_flexible_plant
 from ffsm_drake.spacecraft.plant import configuration
+from ffsm_drake.systems.continuous import InstantSystem
 from ffsm_drake.systems.part import INTERNAL_WORK, Metric, Part, Signal, View
-from ffsm_drake.systems.setup import BlockSetup
+from ffsm_drake.systems.sensing.noise import Noise
+from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 
-WRENCHES, GAP = "contact_wrench", "contact_gap"
 CLOSING, LOSS = "contact_closing", "contact_loss"  # where late hands grasp
 _CLOSING = {
     "linear_impulse": "N s",
@@ -66,7 +48,6 @@ _BOUNDS = {
     "speed": ("velocity", "m/s"),
     "rate": ("angular_velocity", "rad/s"),
 }
-_ORIGIN = np.zeros(3)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -90,13 +71,19 @@ class Contacts(Part):
         contacts = {name: each for name, each in self.contacts.items() if grip.closes(each)}
         return Contacts(contacts=contacts) if contacts else None
 
-    def build(self, setup: BlockSetup) -> LeafSystem:
+    def build(self, setup: BlockSetup) -> "ContactForce":
         """The force of the contacts."""
         return ContactForce(setup)
 
     def flow(self, setup: BlockSetup) -> ContactFlow | None:
-        """The force as pure functions; None: they do not cover it."""
-        return contact_flow(setup)
+        """The force for compiled runs. None: they do not cover flexible parts, springs, noise and
+        hands that close later.
+        """
+        is_plain = all(
+            each.kind == "rigid" and not (each.closes or each.moment_noise or each.force_noise)
+            for each in closing_contacts(setup.scenario, setup.grip).values()
+        )
+        return contact_flow(setup) if is_plain and not setup.scenario.model.flexible else None
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Wrench on the target and gap of each contact."""
@@ -253,7 +240,7 @@ def _last(run: View) -> int:
     return max(0, len(run.time) - 1 - round(1.0 / run.scenario.sample_time))
 
 
-class ContactForce(Diagram):
+class ContactForce(CompositeBlock):
     """The force of the contacts, which close loops of the plant's tree.
 
     Inputs: ``state`` (nq + nv), ``hidden_state``, ``other_force`` (nv). Outputs:
@@ -262,45 +249,30 @@ class ContactForce(Diagram):
     """
 
     def __init__(self, setup: BlockSetup) -> None:
-        super().__init__()
-        builder = DiagramBuilder()
-        self._contact = builder.AddSystem(_Contact(setup))
-        for index in range(self._contact.num_input_ports()):
-            port = self._contact.get_input_port(index)
-            builder.ExportInput(port, port.get_name())
-        acting, gap = map(self._contact.get_output_port, range(2))
-        size = gap.size()
-        parts = builder.AddSystem(Demultiplexer([len(setup.coordinates.names), size]))
-        builder.Connect(acting, parts.get_input_port())
-        for index, name in enumerate(("generalized_force", WRENCHES)):
-            builder.ExportOutput(parts.get_output_port(index), name)
-        builder.ExportOutput(gap, GAP)
-        self._made = list[ConstantVectorSource]()
-        if any(each.closes for each in self._contact.contacts):
-            for name, values in ((CLOSING, np.zeros(len(_CLOSING))), (LOSS, np.zeros(1))):
-                self._made.append(builder.AddSystem(ConstantVectorSource(values)))
-                builder.ExportOutput(self._made[-1].get_output_port(), name)
-        measured, noise = parts.get_output_port(1), _noise(self._contact.contacts)
+        period, contacts = setup.sample_time, closing_contacts(setup.scenario, setup.grip)
+        flow = contact_flow(setup)
+        _check_step(setup.scenario, flow, contacts)
+        made: dict[str, ConstantVectorSource] = {}
+        if any(each.closes for each in contacts.values()):
+            made[CLOSING] = ConstantVectorSource(np.zeros(len(_CLOSING)))
+            made[LOSS] = ConstantVectorSource(np.zeros(1))
+        contact = InstantSystem(flow, name="contact", sample_time=period)
+        systems: dict[str, System] = {"contact": contact, **made}
+        signals = {name: {"y0": name} for name in made}
+        noise = np.repeat([[each.moment_noise, each.force_noise] for each in contacts.values()], 3)
         if noise.any():
-            period = setup.scenario.sample_time
-            samples = builder.AddSystem(RandomSource(RandomDistribution.kGaussian, size, period))
-            shaped, noisy = builder.AddSystem(Gain(noise)), builder.AddSystem(Adder(2, size))
-            builder.Connect(samples.get_output_port(), shaped.get_input_port())
-            builder.Connect(shaped.get_output_port(), noisy.get_input_port(1))
-            builder.Connect(measured, noisy.get_input_port(0))
-            measured = noisy.get_output_port()
-        builder.ExportOutput(measured, blocks.WRENCH)
-        builder.BuildInto(self)
-
-    def set_payload(self, context: Context, properties: MassProperties) -> None:
-        """Give the payload other mass properties."""
-        self._contact.set_payload(properties)
+            systems["noise"] = Noise("noise", Gain(noise), sample_time=period)
+            systems["noisy"] = Adder(2, noise.size)
+            signals["noisy"] = {"u0": blocks.WRENCH, "u1": "noise", "sum": blocks.WRENCH}
+        shown = (*flow.outputs, *made)
+        super().__init__("contacts", systems, inputs=flow.inputs, outputs=shown, signals=signals)
+        self._flow, self._contact, self._made = flow, contact, made
 
     def beyond(self, state: np.ndarray, envelope: Envelope) -> str:
         """The part of a hand's miss beyond an envelope, in words, at the plant's own [q; v]; empty
         where it holds.
         """
-        miss = self._contact.miss(state)
+        miss = self._miss(state)
         bounds = {name: getattr(envelope, bound) for name, (bound, _) in _BOUNDS.items()}
         return ", ".join(
             f"{key} {miss[name]:.3g} {unit} (capture.envelope.{key}: {bounds[name]:g})"
@@ -310,7 +282,9 @@ class ContactForce(Diagram):
 
     def hold(self, state: np.ndarray) -> None:
         """Hold the hands where they are at the plant's own [q; v]."""
-        self._contact.hold(state)
+        q, model = _halves(state)[0], self._flow.model
+        closures = tuple(each.met(model, q) for each in self._flow.closures)
+        self._contact.exchange(dataclasses.replace(self._flow, closures=closures))
 
     def close(self, context: Context, state: np.ndarray, *, work: float) -> np.ndarray:
         """The plant's own [q; v] after late hands have closed where they are; rigid ones by a
@@ -318,266 +292,72 @@ class ContactForce(Diagram):
 
         Args: the system's context; the state before; work of the closings before, J.
         """
-        after, ledger = self._contact.close(state)
-        for source, values in zip(
-            self._made, ([ledger[name] for name in _CLOSING], [work - ledger["loss"]]), strict=True
+        self.hold(state)
+        flow = self._contact.block_at(self.GetSubsystemContext(self._contact, context))
+        (q, v), model, multipliers = _halves(state), flow.model, np.zeros(flow.gains.shape[1])
+        rows, H = flow.jacobian(q)[flow.rigid], model.calc_mass_matrix(q)
+        after, multipliers[flow.rigid] = plastic_impact(H, rows, v)
+        momenta = list[np.ndarray]()
+        for each in (v, after):
+            model.plant.SetVelocities(model.context, each)
+            momentum = model.plant.CalcSpatialMomentumInWorldAboutPoint(model.context, np.zeros(3))
+            momenta.append(momentum.get_coeffs())
+        ledger = self._miss(state)
+        for kind, wrench in (
+            ("impulse", flow.wrench(multipliers)),
+            ("momentum_change", momenta[1] - momenta[0]),
         ):
+            angular, linear = _largest_of(wrench)
+            ledger |= {f"angular_{kind}": angular, f"linear_{kind}": linear}
+        loss = 0.5 * float((v - after) @ H @ (v + after))
+        values = {CLOSING: [ledger[name] for name in _CLOSING], LOSS: [work - loss]}
+        for name, source in self._made.items():
             own = self.GetMutableSubsystemContext(source, context)
-            source.get_mutable_source_value(own).set_value(np.array(values))
-        return after
+            source.get_mutable_source_value(own).set_value(np.array(values[name]))
+        return np.concatenate([q, after])
 
-
-def _noise(contacts: Sequence[Contact]) -> np.ndarray:
-    """Standard deviations of the wrenches' noise (6 for each contact)."""
-    return np.repeat([[each.moment_noise, each.force_noise] for each in contacts], 3)
-
-
-class _Contact(LeafSystem):
-    """Force and wrenches in one output: with two, Drake would call it twice.
-
-    A rigid contact holds A v = 0: its multipliers solve A H^-1 (f + A' lambda) = -(dA/dt v + c), f
-    being all other forces. The correction c (state) of a sample is k_1 gap + k_2 A v at its
-    beginning; both decay with exp(-w t), w being its ``stabilization``. A correction of each stage
-    would take the stages' own gaps, O(h^2), for errors. A compliant contact gives lambda = -(K gap
-    + D A v).
-    """
-
-    def __init__(self, setup: BlockSetup) -> None:
-        super().__init__()
-        self._scenario, grip = setup.scenario, setup.grip
-        self._model = make_flexible_plant(setup.scenario, grip)
-        coordinates, split = setup.coordinates, self._model.split
-        plant = self._model.plant
-        self._chain = ClosedChain(plant, setup.scenario, grip, true=True)
-        self.contacts = [loop.contact for loop in self._chain.loops]
-        self._places = self._chain.loops
-        nv, nq = len(coordinates.names), len(coordinates.position_names)
-        self._split, self._known = split, split.known if split.names else None
-        loss = damping_of(plant)
-        self._loss = loss if loss.any() else None
-        # the last state with what follows from it: a period begins with the state at the end of
-        # the one before
-        self._kept: tuple[bytes, Any] = b"", None
-        self._set_gains()
-        self._check_step()
-        self._state = self.DeclareVectorInputPort("state", nq + nv)
-        self._other = self.DeclareVectorInputPort("other_force", nv)
-        hidden = 2 * len(split.names)
-        self._hidden = self.DeclareVectorInputPort("hidden_state", hidden) if hidden else None
-        size = 6 * len(self._chain.loops)
-        self._nv, self._values = nv, np.empty(nv + size)
-        self.DeclareVectorOutputPort("acting", nv + size, weak_callback(self._calc))
-        # at the state alone: read between two stages
-        states = {self.input_port_ticket(self._state.get_index())}
-        if self._hidden is not None:
-            states.add(self.input_port_ticket(self._hidden.get_index()))
-        self.DeclareVectorOutputPort(
-            "gap", size, weak_callback(self._calc_gap), prerequisites_of_calc=states
-        )
-        self.DeclareDiscreteState(self._rigid.size)
-        self.DeclarePeriodicDiscreteUpdateEvent(
-            setup.scenario.sample_time, 0.0, weak_callback(self._correct)
-        )
-        untie(self)
-
-    def _set_gains(self) -> None:
-        """Rates (m) of rigid contacts, stiffness and damping (m, m) of compliant ones."""
-        loops = self._chain.loops
-        rows = [len(loop.rows) for loop in loops]
-        h = self._scenario.sample_time
-        w = np.repeat([loop.contact.stabilization for loop in loops], rows)
-        p = np.exp(-w * h)  # both poles of x'' = -(k_1 x + k_2 x'), held for h
-        self._k = ((1.0 - p) / h) ** 2, (1.0 - p) * (3.0 + p) / (2.0 * h)
-        compliant = np.repeat([loop.contact.kind == "compliant" for loop in loops], rows)
-        self._rigid, self._soft = np.flatnonzero(~compliant), np.flatnonzero(compliant)
-        self._stiffness, self._damping = (
-            block_diag(*(loop.rows @ np.diag(gains(loop.contact)) @ loop.rows.T for loop in loops))
-            for gains in (_stiffness, _damping)
-        )
-
-    def _check_step(self) -> None:
-        """Raise ScenarioError for springs too fast for steps of Runge-Kutta's third order."""
-        config, plant = self._scenario.simulator_config, self._model.plant
-        if not self._soft.size or config.integration_scheme != "runge_kutta3":
-            return
-        posture = configuration(plant, self._scenario.initial_posture, key="initial_posture")
-        plant.SetPositions(self._model.context, posture)
-        A, H = self._chain.jacobian(self._model.context), plant.CalcMassMatrix(self._model.context)
-        inner = A @ np.linalg.solve(H, A.T)
-        zero, one = np.zeros_like(inner), np.eye(len(inner))
-        poles = np.linalg.eigvals(
-            np.block([[zero, one], [-inner @ self._stiffness, -inner @ self._damping]])
-        )[:, None]
-        steps = config.max_step_size * 0.5 ** np.arange(30)
-        z = steps * poles[np.abs(poles[:, 0]) > 1e-6]
-        growth = np.abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0))).max(axis=0)
-        if growth[0] > 1.0:
-            loop = next(each for each in self._chain.loops if each.contact.kind == "compliant")
-            raise ScenarioError(
-                f"contacts.{loop.name}.kind",
-                f"its spring vibrates at up to {short(np.abs(poles).max())} rad/s, too fast for "
-                f"steps of {config.max_step_size:g} s; set simulator_config.max_step_size to "
-                f"{steps[np.argmax(growth <= 1.0)]:.3g}",
-            )
-
-    def set_payload(self, properties: MassProperties) -> None:
-        """Give the payload other mass properties."""
-        change_payload(self._model.plant, self._model.context, self._scenario, properties)
-        self._kept = b"", None
-
-    def miss(self, state: np.ndarray) -> dict[str, float]:
+    def _miss(self, state: np.ndarray) -> dict[str, float]:
         """The largest distance of a hand from its place, and its motion there, at the plant's own
         [q; v]: ``angle`` (rad), ``distance`` (m), ``rate`` (rad/s), ``speed`` (m/s).
         """
-        plant, own, chain = self._model.plant, self._model.context, self._chain
-        plant.SetPositionsAndVelocities(own, state)
-        held, chain.loops = chain.loops, self._places  # not where an earlier run has closed
-        sizes = [
-            np.linalg.norm((chain.wrench_map @ each).reshape(-1, 3), axis=1).reshape(-1, 2)
-            for each in (chain.gap(own), chain.jacobian(own) @ state[plant.num_positions() :])
-        ]
-        chain.loops = held
-        largest = np.concatenate([each.max(axis=0) for each in sizes]).tolist()
-        return dict(zip(("angle", "distance", "rate", "speed"), largest, strict=True))
+        (q, v), flow = _halves(state), self._flow  # not where an earlier run has closed
+        gap, rate = flow.wrench(flow.gap(q)), flow.wrench(flow.jacobian(q) @ v)
+        sizes = (*_largest_of(gap), *_largest_of(rate))
+        return dict(zip(("angle", "distance", "rate", "speed"), sizes, strict=True))
 
-    def hold(self, state: np.ndarray) -> None:
-        """See ``ContactForce``."""
-        self._model.plant.SetPositionsAndVelocities(self._model.context, state)
-        self._chain.meet(self._model.context)
-        self._kept = b"", None
 
-    def close(self, state: np.ndarray) -> tuple[np.ndarray, dict[str, float]]:
-        """See ``ContactForce``; ledger of ``_CLOSING``, and the energy lost, J."""
-        ledger = self.miss(state)  # sets the state
-        plant, own, chain = self._model.plant, self._model.context, self._chain
-        self.hold(state)
-        q, v = np.split(state, [plant.num_positions()])
-        rows, H = chain.jacobian(own)[self._rigid], plant.CalcMassMatrix(own)
-        inverse, multipliers = np.linalg.solve(H, rows.T), np.zeros(chain.size)
-        multipliers[self._rigid] = np.linalg.solve(rows @ inverse, -rows @ v)
-        after = v + inverse @ multipliers[self._rigid]
-        momenta = list[np.ndarray]()
-        for each in (v, after):
-            plant.SetVelocities(own, each)
-            momenta.append(plant.CalcSpatialMomentumInWorldAboutPoint(own, _ORIGIN).get_coeffs())
-        sizes = np.linalg.norm(self._wrench(multipliers).reshape(-1, 3), axis=1).reshape(-1, 2)
-        change = np.linalg.norm((momenta[1] - momenta[0]).reshape(2, 3), axis=1).tolist()
-        ledger |= {"angular_impulse": sizes[:, 0].max(), "linear_impulse": sizes[:, 1].max()}
-        ledger |= {"angular_momentum_change": change[0], "linear_momentum_change": change[1]}
-        ledger["loss"] = 0.5 * float((v - after) @ H @ (v + after))
-        return np.concatenate([q, after]), ledger
+def _halves(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """q and v of a plant's own state."""
+    q, v = np.split(state, [(state.size + 1) // 2])
+    return q, v
 
-    def _whole(self, context: Context) -> np.ndarray:
-        """The plant's own [q; v]."""
-        state: np.ndarray = self._state.Eval(context)
-        return (
-            state if self._hidden is None else self._split.whole(state, self._hidden.Eval(context))
+
+def _largest_of(pairs: np.ndarray) -> list[float]:
+    """The largest sizes of the first and of the second vectors (3) of pairs (6 each)."""
+    found: list[float] = np.linalg.norm(pairs.reshape(-1, 2, 3), axis=2).max(axis=0).tolist()
+    return found
+
+
+def _check_step(scenario: Scenario, flow: ContactFlow, contacts: Mapping[str, Contact]) -> None:
+    """Raise ScenarioError for springs too fast for steps of Runge-Kutta's third order."""
+    config, model = scenario.simulator_config, flow.model
+    if not flow.soft.size or config.integration_scheme != "runge_kutta3":
+        return
+    q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
+    A = flow.jacobian(q)
+    inner = (A @ np.linalg.solve(model.calc_mass_matrix(q), A.T))[:, flow.soft]
+    zero, one = np.zeros((len(A), len(A))), np.eye(len(A))
+    poles = np.linalg.eigvals(
+        np.block([[zero, one], [-inner @ flow.stiffness, -inner @ flow.damping]])
+    )[:, None]
+    steps = config.max_step_size * 0.5 ** np.arange(30)
+    z = steps * poles[np.abs(poles[:, 0]) > 1e-6]
+    growth = np.abs(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0))).max(axis=0)
+    if growth[0] > 1.0:
+        name = next(name for name, each in contacts.items() if each.kind == "compliant")
+        raise ScenarioError(
+            f"contacts.{name}.kind",
+            f"its spring vibrates at up to {short(np.abs(poles).max())} rad/s, too fast for "
+            f"steps of {config.max_step_size:g} s; set simulator_config.max_step_size to "
+            f"{steps[np.argmax(growth <= 1.0)]:.3g}",
         )
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        state, force = self._whole(context), self._other.Eval(context)
-        if self._hidden is not None:
-            force = self._split.whole_velocities(force)
-        found = self._found(state)
-        multipliers = found.soft
-        if found.inner is not None:
-            correction = context.get_discrete_state_vector().value()
-            multipliers = self._rigid_ones(found, state, force, correction)
-        acts, values = multipliers @ found.jacobian, self._values
-        values[: self._nv] = acts if self._known is None else acts[self._known]
-        values[self._nv :] = -self._wrench(multipliers)  # on the target
-        output.SetFromVector(values)
-
-    def _calc_gap(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._wrench(self._gap(self._whole(context))))
-
-    def _correct(self, context: Context, after: DiscreteValues) -> None:
-        state = self._whole(context)
-        rate = self._found(state).jacobian @ state[self._model.plant.num_positions() :]
-        found = self._k[0] * self._gap(state) + self._k[1] * rate
-        after.set_value(found[self._rigid])
-
-    def _gap(self, state: np.ndarray) -> np.ndarray:
-        """The gap (m) at the plant's state [q; v]; read twice where a period ends."""
-        kept = self._found(state).gap
-        if not kept:
-            self._model.plant.SetPositionsAndVelocities(self._model.context, state)
-            kept.append(self._chain.gap(self._model.context))
-        return kept[0]
-
-    def _found(self, state: np.ndarray) -> "_Geometry":
-        if (content := state.tobytes()) != self._kept[0]:
-            self._kept = content, self._geometry(state)
-        found: _Geometry = self._kept[1]
-        return found
-
-    def _rigid_ones(
-        self, found: "_Geometry", state: np.ndarray, force: np.ndarray, correction: np.ndarray
-    ) -> np.ndarray:
-        """The multipliers (m) with those of rigid contacts, under all other forces (nv)."""
-        force = force + found.given
-        if self._known is not None:  # with the springs of flexible parts
-            plant, own = self._model.plant, self._model.context
-            plant.SetPositionsAndVelocities(own, state)
-            plant.get_applied_generalized_force_input_port().FixValue(own, force)
-            acceleration = plant.get_generalized_acceleration_output_port().Eval(own)
-            force = plant.CalcMassMatrix(own) @ acceleration
-        wanted = found.wanted - correction
-        _, rigid, failed = dposv(found.inner, wanted - force @ found.inverse)
-        if failed:  # a singular posture
-            rigid = np.full(rigid.size, np.nan)
-        if not self._soft.size:
-            return rigid
-        multipliers = found.soft.copy()
-        multipliers[self._rigid] = rigid
-        return multipliers
-
-    def _wrench(self, along: np.ndarray) -> np.ndarray:
-        """(6 for each contact) from what is along the constraints (m)."""
-        chain = self._chain
-        return along if chain.is_spatial else chain.wrench_map @ along
-
-    def _geometry(self, state: np.ndarray) -> "_Geometry":
-        """Everything that depends on the plant's state [q; v] alone."""
-        plant, own, chain = self._model.plant, self._model.context, self._chain
-        plant.SetPositionsAndVelocities(own, state)
-        v = state[plant.num_positions() :]
-        jacobian = chain.jacobian(own)
-        soft = None
-        if self._known is not None:
-            given = np.zeros(v.size)
-        else:
-            given = -plant.CalcBiasTerm(own)
-            if self._loss is not None:
-                given -= self._loss * v
-        if self._soft.size:
-            soft = -(self._stiffness @ chain.gap(own) + self._damping @ (jacobian @ v))
-            soft[self._rigid] = 0.0
-            given += soft @ jacobian
-        if not self._rigid.size:
-            return _Geometry(jacobian, [], soft, given)
-        wanted, rows = chain.bias(own), jacobian
-        if self._soft.size:
-            rows, wanted = jacobian[self._rigid], wanted[self._rigid]
-        _, inverse, _ = dposv(plant.CalcMassMatrix(own), rows.T)  # H^-1 A'
-        return _Geometry(jacobian, [], soft, given, rows @ inverse, inverse, -wanted)
-
-
-class _Geometry(NamedTuple):
-    """The contacts' quantities that depend on the plant's state alone."""
-
-    jacobian: np.ndarray  # A (m, nv)
-    gap: list[np.ndarray]  # (m), once it has been read
-    soft: Any  # (m) multipliers of compliant contacts; None: there are none
-    given: np.ndarray  # (nv) known forces: of compliant contacts, bias and damping
-    inner: Any = None  # A H^-1 A' (r, r) of the rigid contacts; None: there are none
-    inverse: Any = None  # H^-1 A' (nv, r)
-    wanted: Any = None  # (r) A dv/dt, without the correction
-
-
-def _stiffness(contact: Contact) -> list[float]:
-    return [contact.rotational_stiffness] * 3 + [contact.stiffness] * 3
-
-
-def _damping(contact: Contact) -> list[float]:
-    return [contact.rotational_damping] * 3 + [contact.damping] * 3

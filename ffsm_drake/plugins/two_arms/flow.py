@@ -1,161 +1,143 @@
-"""Rigid contacts that close loops, as pure functions on arrays for compiled runs."""
+"""The force of contacts that close loops, as pure functions on arrays."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from pydrake.multibody.tree import Frame
+from scipy.linalg import block_diag
 
-from ffsm_drake.common.so3 import matrix_of
-from ffsm_drake.plugins.two_arms.chain import ClosedChain
-from ffsm_drake.scenario.contacts import closing_contacts
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
+from ffsm_drake.loop.blocks import WRENCH
+from ffsm_drake.plugins.two_arms.chain import ClosedChain, Closure
+from ffsm_drake.scenario import MassProperties
+from ffsm_drake.scenario.contacts import Contact
+from ffsm_drake.spacecraft.nominal import Carrier, PlantModel, make_flexible_plant
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.setup import BlockSetup
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class LoopFlow:
-    """A loop; see ``chain.Loop``."""
-
-    hand: Frame
-    grasp: Frame
-    rows: tuple[tuple[float, ...], ...]  # which are constants of the code
-    turn: np.ndarray | None
-    place: np.ndarray  # (3)
-    gains: np.ndarray  # (2) of the correction, on the gap and on its rate
-
-
-class _Seen:
-    """A loop at a configuration q, and its A (r, nv)."""
-
-    def __init__(self, loop: LoopFlow, model: PlantModel, q: Any) -> None:
-        self.loop = loop
-        poses = [model.calc_frame_pose(q, frame) for frame in (loop.grasp, loop.hand)]
-        (self.grasp, origin), (self.hand, tip) = ((matrix_of(p[:4]), p[4:]) for p in poses)
-        self.arm = tip - origin
-        self.jacobians = [model.calc_jacobian(q, frame) for frame in (loop.grasp, loop.hand)]
-        (turns, moves), (turns_hand, moves_hand) = (np.split(each, 2) for each in self.jacobians)
-        across = np.cross(turns.T, self.arm).T
-        down = self.grasp.T
-        whole = [down @ (turns_hand - turns), down @ (moves_hand - moves - across)]
-        jacobian = np.concatenate(whole)
-        jacobian[:, :NUM_BASE_VELOCITIES] = 0.0  # was zero except for rounding
-        self.jacobian = np.array(loop.rows) @ jacobian
-
-    def bias(self, model: PlantModel, q: Any, v: Any) -> Any:
-        """dA/dt v (r)."""
-        frames, arm = (self.loop.grasp, self.loop.hand), self.arm
-        (alpha, a), (alpha_hand, a_hand) = (
-            np.split(model.calc_bias_acceleration(q, v, frame), 2) for frame in frames
-        )
-        (w, u), (w_hand, u_hand) = (np.split(each @ v, 2) for each in self.jacobians)
-        around = np.cross(w, arm)
-        turning = alpha_hand - alpha - np.cross(w, w_hand - w)
-        moving = a_hand - a - np.cross(alpha, arm) - np.cross(w, around)
-        moving = moving - 2.0 * np.cross(w, u_hand - u - around)
-        down = self.grasp.T
-        return np.array(self.loop.rows) @ np.concatenate([down @ turning, down @ moving])
-
-    def gap(self) -> Any:
-        """See ``ClosedChain.gap_of``."""
-        down = self.grasp.T
-        turn = down @ self.hand
-        if self.loop.turn is not None:
-            turn = turn @ self.loop.turn.T
-        x = 0.5 * (turn.T - turn)[[1, 2, 0], [2, 0, 1]]
-        sine = np.sqrt((x * x).sum())
-        trace = turn[0, 0] + turn[1, 1] + turn[2, 2]
-        factor = np.arctan2(sine, 0.5 * (trace - 1.0)) / np.maximum(sine, 1e-300)
-        factor = np.where((sine < 1e-6) & (trace > 0.0), 1.0, factor)
-        away = down @ self.arm - self.loop.place
-        return np.array(self.loop.rows) @ np.concatenate([factor * x, away])
+WRENCHES, GAP = "contact_wrench", "contact_gap"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ContactFlow(Continuous):
-    """See ``contact.ContactForce``. Its input ``correction`` is held over a control sample."""
+    """The force of the contacts.
 
-    model: PlantModel  # with the true payload
-    loops: tuple[LoopFlow, ...]
+    A rigid contact holds A v = 0: its multipliers solve A H^-1 (f + A' lambda) = -(dA/dt v + c), f
+    being all other forces. The correction c of a sample is k_1 gap + k_2 A v at its beginning; both
+    decay with exp(-w t), w being its ``stabilization``. A correction of each stage would take the
+    stages' own gaps, O(h^2), for errors. A compliant contact gives lambda = -(K gap + D A v).
+    """
+
+    model: PlantModel  # with flexible parts and the true payload
+    carrier: Carrier
+    closures: tuple[Closure, ...]
+    rigid: np.ndarray  # (r) constraints of rigid contacts
+    soft: np.ndarray  # (s) and of compliant ones
+    gains: np.ndarray  # (2, m) of the correction, on the gap and on its rate
+    stiffness: np.ndarray  # (s, m) K
+    damping: np.ndarray  # (s, m) D
 
     @property
     def inputs(self) -> Mapping[str, int]:
         """See Continuous."""
-        nv = self.model.coordinates.num_velocities
-        return {"state": 2 * nv + 1, "other_force": nv, "correction": self.num_corrections}
+        nv, hidden = self.model.coordinates.num_velocities, len(self.model.split.names)
+        sizes = {"state": 2 * nv + 1, "hidden_state": 2 * hidden, "other_force": nv}
+        sizes["correction"] = self.rigid.size
+        return {name: size for name, size in sizes.items() if size}
 
     @property
     def outputs(self) -> Mapping[str, int]:
         """See Continuous."""
-        shown = ("contact_wrench", "contact_gap", "measured_wrench")
         nv = self.model.coordinates.num_velocities
-        return {"generalized_force": nv} | dict.fromkeys(shown, 6 * len(self.loops))
+        shown = dict.fromkeys((WRENCHES, GAP, WRENCH), 6 * len(self.closures))
+        return {"generalized_force": nv, **shown}
 
-    @property
-    def num_corrections(self) -> int:
-        """Numbers of the correction."""
-        return sum(len(loop.rows) for loop in self.loops)
+    def with_payload(self, properties: MassProperties) -> "ContactFlow":
+        """See InstantSystem."""
+        return dataclasses.replace(self, model=self.carrier.loaded(self.model, properties))
 
     def correct(self, inputs: Arrays) -> Any:
-        """Return the correction that is held from a control sample on, for the state then."""
+        """See Continuous."""
         q, v = self._split(inputs)
-        found = list[Any]()
-        for loop in self.loops:
-            seen = _Seen(loop, self.model, q)
-            found.append(loop.gains[0] * seen.gap() + loop.gains[1] * (seen.jacobian @ v))
-        return np.concatenate(found)
+        found = self.gains[0] * self.gap(q) + self.gains[1] * (self.jacobian(q) @ v)
+        return found[self.rigid]
 
     def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
         """See Continuous."""
-        q, v = self._split(inputs)
-        seen = [_Seen(loop, self.model, q) for loop in self.loops]
-        A = np.concatenate([each.jacobian for each in seen])
-        wanted = -np.concatenate([each.bias(self.model, q, v) for each in seen])
-        free = self.model.calc_acceleration(q, v, inputs["other_force"])
-        inner = A @ np.linalg.solve(self.model.calc_mass_matrix(q), A.T)
-        found = np.linalg.solve(inner, wanted - inputs["correction"] - A @ free)
-        ends = np.cumsum([len(loop.rows) for loop in self.loops])[:-1].tolist()
-        each = zip(self.loops, np.split(found, ends), strict=True)
-        wrench = np.concatenate([-(np.array(loop.rows).T @ own) for loop, own in each])
-        gap = np.concatenate([np.array(own.loop.rows).T @ own.gap() for own in seen])
+        split, (q, v) = self.model.split, self._split(inputs)
+        A, gap = self.jacobian(q), self.gap(q)
+        force, multipliers = split.whole_velocities(inputs["other_force"]), 0.0 * gap
+        if self.soft.size:
+            multipliers[self.soft] = -(self.stiffness @ gap + self.damping @ (A @ v))
+            force = force + multipliers @ A
+        if self.rigid.size:
+            rows, free = A[self.rigid], self.model.calc_acceleration(q, v, force)
+            inner = rows @ np.linalg.solve(self.model.calc_mass_matrix(q), rows.T)
+            bias = np.concatenate([each.bias(self.model, q, v) for each in self.closures])
+            wanted = -(bias[self.rigid] + inputs["correction"] + rows @ free)
+            multipliers[self.rigid] = np.linalg.solve(inner, wanted)
+        wrench = -self.wrench(multipliers)  # on the target
         return {
-            "generalized_force": A.T @ found,
-            "contact_wrench": wrench, "contact_gap": gap, "measured_wrench": wrench,
+            "generalized_force": split.known_velocities(multipliers @ A),
+            WRENCHES: wrench, GAP: self.wrench(gap), WRENCH: wrench,
         }, {}  # fmt: skip
 
+    def jacobian(self, q: Any) -> Any:
+        """A (m, nv) in the plant's configuration q (nq)."""
+        return np.concatenate([each.jacobian(self.model, q) for each in self.closures])
+
+    def gap(self, q: Any) -> Any:
+        """The gaps (m)."""
+        return np.concatenate([each.gap(self.model, q) for each in self.closures])
+
+    def wrench(self, along: Any) -> Any:
+        """(6 for each contact) from what is along the constraints (m)."""
+        if len(along) == 6 * len(self.closures):
+            return along
+        ends = np.cumsum([len(each.rows) for each in self.closures])[:-1].tolist()
+        parts = zip(self.closures, np.split(along, ends), strict=True)
+        return np.concatenate([each.wrench(part) for each, part in parts])
+
     def _split(self, inputs: Arrays) -> Any:
-        state = inputs["state"]
-        return np.split(state, [self.model.coordinates.num_positions])
+        """The plant's own q and v."""
+        whole = self.model.split.whole(inputs["state"], inputs.get("hidden_state"))
+        half = (len(whole) + 1) // 2
+        return whole[:half], whole[half:]
 
 
-def contact_flow(setup: BlockSetup) -> ContactFlow | None:
-    """Return the contacts as pure functions. None: the chain has flexible parts, springs, noise or
-    hands that close later.
-    """
-    closing = closing_contacts(setup.scenario, setup.grip)
-    is_plain = all(
-        each.kind == "rigid" and not (each.closes or each.moment_noise or each.force_noise)
-        for each in closing.values()
+def contact_flow(setup: BlockSetup) -> ContactFlow:
+    """Return the force of the contacts that close loops. Raises the errors of ``ClosedChain``."""
+    model, h = make_flexible_plant(setup.scenario, setup.grip), setup.sample_time
+    loops = ClosedChain(model, setup.scenario, setup.grip, true=True).loops
+    rows = [np.array(loop.closure.rows) for loop in loops]
+
+    def along(gains: Callable[[Contact], list[float]]) -> np.ndarray:
+        """A diagonal in all directions (6) of each contact, along the constraints (m, m)."""
+        pairs = zip(loops, rows, strict=True)
+        return block_diag(*(of @ np.diag(gains(loop.contact)) @ of.T for loop, of in pairs))
+
+    def of_constraints(values: list[Any]) -> np.ndarray:
+        return np.repeat(values, [len(of) for of in rows])
+
+    # both poles of x'' = -(k_1 x + k_2 x'), held for h
+    p = np.exp(-h * of_constraints([loop.contact.stabilization for loop in loops]))
+    is_rigid = of_constraints([loop.contact.kind == "rigid" for loop in loops])
+    return ContactFlow(
+        model=model,
+        carrier=Carrier(setup.scenario),
+        closures=tuple(loop.closure for loop in loops),
+        rigid=np.flatnonzero(is_rigid),
+        soft=np.flatnonzero(~is_rigid),
+        gains=np.array([((1.0 - p) / h) ** 2, (1.0 - p) * (3.0 + p) / (2.0 * h)]),
+        stiffness=along(_stiffness)[~is_rigid],
+        damping=along(_damping)[~is_rigid],
     )
-    model = make_flexible_plant(setup.scenario, setup.grip)
-    if not is_plain or model.split.names:
-        return None
-    chain, h = ClosedChain(model.plant, setup.scenario, setup.grip, true=True), setup.sample_time
-    loops = list[LoopFlow]()
-    for loop in chain.loops:
-        p = np.exp(-loop.contact.stabilization * h)
-        loops.append(
-            LoopFlow(
-                hand=loop.hand,
-                grasp=loop.grasp,
-                rows=tuple(map(tuple, loop.rows.tolist())),
-                turn=loop.turn,
-                place=np.array(loop.place),
-                gains=np.array([((1.0 - p) / h) ** 2, (1.0 - p) * (3.0 + p) / (2.0 * h)]),
-            )
-        )
-    return ContactFlow(model=model, loops=tuple(loops))
+
+
+def _stiffness(contact: Contact) -> list[float]:
+    return [contact.rotational_stiffness] * 3 + [contact.stiffness] * 3
+
+
+def _damping(contact: Contact) -> list[float]:
+    return [contact.rotational_damping] * 3 + [contact.damping] * 3

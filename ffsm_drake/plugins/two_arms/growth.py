@@ -53,10 +53,10 @@ def growth(scenario: Scenario, law: ControlLaw, q: np.ndarray, grip: Grip = HELD
       grip: the hands that hold the target.
     """
     model, period = make_true_plant(scenario), scenario.sample_time
-    chain = ClosedChain(model.plant, scenario, grip, true=True)
+    chain = ClosedChain(model, scenario, grip, true=True)
     error, is_example = _calibration(scenario, chain, q)
-    model.plant.SetPositions(model.context, chain.closed(q, model.context))
-    A, H = chain.jacobian(model.context), model.plant.CalcMassMatrix(model.context)
+    closed = chain.closed(q)
+    A, H = chain.jacobian(closed), model.calc_mass_matrix(closed)
     _, _, rows = np.linalg.svd(A)
     S = rows[len(A) :].T  # v = S nu
     drive = np.linalg.solve(S.T @ H @ S, S.T)
@@ -85,9 +85,9 @@ def _calibration(scenario: Scenario, chain: ClosedChain, q: np.ndarray) -> tuple
     """The error (nv) that the law sees where base and carrying arm are on the reference, and
     whether it is an example.
     """
-    coordinates, context = coordinates_of(chain.plant), chain.plant.CreateDefaultContext()
+    coordinates = coordinates_of(chain.model.plant)
     bias = coordinates.vector(scenario.sensing.position_bias, key="sensing", default=0.0)
-    error = position_error(q, chain.closed(q, context)) - bias
+    error = position_error(q, chain.closed(q)) - bias
     if np.abs(error).max() > 1e-9:
         return error, False
     for loop in chain.loops:

@@ -45,14 +45,12 @@ class TreeModel(PlantModel):
     @stacked
     def calc_constraints(self, q: np.ndarray) -> np.ndarray:
         """A (..., m, nv) in configurations q (..., nq)."""
-        self._set_state(q)
-        return self.chain.jacobian(self.context)
+        return self.chain.jacobian(q)
 
     @stacked
     def calc_constraint_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """dA/dt v (..., m) for velocities v (..., nv)."""
-        self._set_state(q, v)
-        return self.chain.bias(self.context)
+        return self.chain.bias(q, v)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -163,7 +161,7 @@ class InternalControl:
         moment = inertia @ alpha + cross_of(w, inertia @ w) + M.get_mass() * cross_of(p, linear)
         wrenches = []
         for loop in self.model.chain.loops:
-            X_WG = loop.grasp.CalcPoseInWorld(context)
+            X_WG = loop.closure.grasp.CalcPoseInWorld(context)
             arm = X_WG.translation() - X_WB.translation()
             turn = X_WG.rotation().matrix().T
             wrenches += [turn @ (moment - cross_of(arm, force)), turn @ force]
@@ -300,8 +298,8 @@ def make_in_chain(setup: BlockSetup, make: Callable[[BlockSetup], Any]) -> Contr
                 "compliant does not go with chain.law: minimal, which takes the chain for rigid; "
                 "set chain.law: plain",
             )
-    chain = ClosedChain(nominal.plant, scenario, setup.grip, true=False)
     shared = {each.name: getattr(nominal, each.name) for each in dataclasses.fields(PlantModel)}
+    chain = ClosedChain(PlantModel(**shared), scenario, setup.grip, true=False)
     tree = TreeModel(**shared, chain=chain)
     model = _minimal_model(scenario, tree)
     following = set(tree.coordinates.names) - set(model.coordinates.names)
@@ -374,11 +372,10 @@ def _minimal_model(scenario: Scenario, tree: TreeModel) -> ChainModel:
         q = make_motion(scenario, tree.coordinates, tree.grip).evaluate(time)[0]
     else:
         q = configuration(tree.plant, scenario.initial_posture, key="initial_posture")
-    tree.plant.SetPositions(tree.context, tree.chain.closed(q, tree.context))
-    following = list[int]()
+    q, following = tree.chain.closed(q), list[int]()
     for loop in tree.chain.loops:
-        jacobian = tree.chain.jacobian_of(loop, tree.context)[:, loop.joints]
-        for _ in range(len(loop.rows)):  # the longest column, and the rest across it
+        jacobian = loop.closure.jacobian(tree, q)[:, loop.joints]
+        for _ in range(len(jacobian)):  # the longest column, and the rest across it
             longest = int(np.argmax(np.linalg.norm(jacobian, axis=0)))
             along = jacobian[:, longest] / np.linalg.norm(jacobian[:, longest])
             jacobian = jacobian - np.outer(along, along @ jacobian)

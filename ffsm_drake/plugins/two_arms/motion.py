@@ -16,18 +16,16 @@ from typing import Any
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import JacobianWrtVariable
-from pydrake.systems.framework import Context
 from scipy.interpolate import BPoly, BSpline, make_interp_spline
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.so3 import matrix_of, quaternion_of, rotation_error
-from ffsm_drake.plugins.two_arms.chain import LONGEST_STEP, ClosedChain, Loop
+from ffsm_drake.plugins.two_arms.chain import ClosedChain, Loop, newton_step
 from ffsm_drake.scenario import Reference, Scenario
 from ffsm_drake.scenario.contacts import ALL_HANDS, closing_times
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.grasp import plastic_impact
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, files_read, find_body
 from ffsm_drake.spacecraft.start import velocity_at_start
@@ -176,13 +174,13 @@ class _Follower:
 
     def __init__(self, scenario: Scenario, velocity: np.ndarray | None, end: float) -> None:
         self.model = model = make_nominal_plant(scenario)
-        self.whole_chain = ClosedChain(model.plant, scenario, ALL_HANDS, true=False)
+        self.whole_chain = ClosedChain(model, scenario, ALL_HANDS, true=False)
         self.later = [loop for loop in self.whole_chain.loops if loop.contact.closes]
-        self._chain = ClosedChain(model.plant, scenario, true=False)
+        self._chain = ClosedChain(model, scenario, true=False)
         self._target = find_body(model.plant, scenario.payload.body, key="payload.body")
         postures = [self._posture(scenario, each) for each in ("initial_posture", "target_posture")]
         self.guesses = postures  # for the arms of late hands
-        self._start = self._chain.closed(postures[0], model.context)
+        self._start = self._chain.closed(postures[0])
         model.plant.SetPositions(model.context, self._start)
         self._first = self._target.EvalPoseInWorld(model.context)
         self._blend, self._end = None, end
@@ -191,7 +189,9 @@ class _Follower:
         if velocity is not None:
             self._blend = Blend(scenario.reference, end)
             arm = self._chain.carrying
-            self._turns[1], self._ways[1] = np.split(self._jacobian()[:, arm] @ velocity[arm], 2)
+            self._turns[1], self._ways[1] = np.split(
+                self._jacobian(self._start)[:, arm] @ velocity[arm], 2
+            )
         if scenario.reference.goal == "stop":
             time = 0.0 if self._blend is None else self._blend.stopping_time
             self._turns[0], self._ways[0] = time * self._turns[1], time * self._ways[1]
@@ -205,13 +205,9 @@ class _Follower:
         """A configuration with the base at the origin."""
         return self._rooted(configuration(self.model.plant, getattr(scenario, key), key=key))
 
-    def _jacobian(self) -> np.ndarray:
+    def _jacobian(self, q: np.ndarray) -> np.ndarray:
         """The Jacobian (6, nv) of the target's frame."""
-        plant, frame = self.model.plant, self._target.body_frame()
-        world = plant.world_frame()
-        return plant.CalcJacobianSpatialVelocity(
-            self.model.context, JacobianWrtVariable.kV, frame, np.zeros(3), world, world
-        )
+        return self.model.calc_jacobian(q, self._target.body_frame())
 
     @staticmethod
     def _rooted(q: np.ndarray) -> np.ndarray:
@@ -238,9 +234,9 @@ class _Follower:
         """The largest error (m, rad) of the target's pose or a gap, for joints (m, n) at s (m)."""
         worst = 0.0
         for each, q in zip(s, joints, strict=True):
-            off = self._off(each, self._rooted(np.concatenate([np.zeros(7), q])))
-            worst = max(worst, np.abs(off).max())
-            worst = max(worst, np.abs(self._chain.gap(self.model.context)).max(initial=0.0))
+            whole = self._rooted(np.concatenate([np.zeros(7), q]))
+            worst = max(worst, np.abs(self._off(each, whole)).max())
+            worst = max(worst, np.abs(self._chain.gap(whole)).max(initial=0.0))
         return worst
 
     def solve(self, s: np.ndarray) -> np.ndarray:
@@ -259,10 +255,7 @@ class _Follower:
         for _ in range(_STEPS):
             if np.abs(off).max() < _REACHED:
                 break
-            jacobian = self._jacobian()[:, arm]
-            step = np.linalg.lstsq(jacobian, off, rcond=1e-10)[0]
-            step *= min(1.0, LONGEST_STEP / max(np.abs(step).max(), 1e-300))
-            q[arm + 1] += step
+            q[arm + 1] += newton_step(self._jacobian(q)[:, arm], off)
             off = self._off(s, q)
         if not np.abs(off).max() < 1e-9:
             raise self._refused(s, "the hand that carries the target does not reach")
@@ -272,14 +265,13 @@ class _Follower:
         """The configuration with loops closed, at a path parameter."""
         model, chain = self.model, self.whole_chain
         try:
-            q = chain.closed(q, model.context, loops)
+            q = chain.closed(q, loops)
         except ScenarioError as error:
             raise self._refused(s, str(error).partition(": ")[2].partition(";")[0]) from None
-        model.plant.SetPositions(model.context, q)
         for loop in loops:
-            jacobian = chain.jacobian_of(loop, model.context)
+            jacobian = loop.closure.jacobian(model, q)
             for joints in (chain.carrying, loop.joints):
-                least = np.linalg.svd(jacobian[:, joints], compute_uv=False)[len(loop.rows) - 1]
+                least = np.linalg.svd(jacobian[:, joints], compute_uv=False)[len(jacobian) - 1]
                 if least < SINGULAR:
                     names = model.coordinates.names
                     raise self._refused(
@@ -333,11 +325,10 @@ class _Arm:
 
     def error(self, s: np.ndarray, joints: np.ndarray) -> float:
         """The largest gap (m, rad) for its joints (m, k)."""
-        model, chain = self._follower.model, self._follower.whole_chain
         worst = 0.0
         for each, own in zip(s, joints, strict=True):
-            model.plant.SetPositions(model.context, self._whole(each, own))
-            worst = max(worst, np.abs(chain.gap_of(self._loop, model.context)).max())
+            gap = self._loop.closure.gap(self._follower.model, self._whole(each, own))
+            worst = max(worst, np.abs(gap).max())
         return worst
 
 
@@ -346,20 +337,14 @@ def _quaternion(pose: RigidTransform) -> np.ndarray:
 
 
 def closed_chain(
-    scenario: Scenario,
-    plant: MultibodyPlant,
-    context: Context,
-    q: np.ndarray,
-    *,
-    stays: bool = False,
+    scenario: Scenario, model: PlantModel, q: np.ndarray, *, stays: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """The plant's own q (nq) with the loops of the true contacts closed, without those of late
     hands, and their A (m, nv). ``stays``: q does not change.
     """
-    chain = ClosedChain(plant, scenario, true=True)
-    q = q if stays else chain.closed(q, context)
-    plant.SetPositions(context, q)
-    return q, chain.jacobian(context)
+    chain = ClosedChain(model, scenario, true=True)
+    q = q if stays else chain.closed(q)
+    return q, chain.jacobian(q)
 
 
 def start_of(scenario: Scenario, model: PlantModel, state: np.ndarray) -> np.ndarray:
@@ -370,10 +355,8 @@ def start_of(scenario: Scenario, model: PlantModel, state: np.ndarray) -> np.nda
       model: the true plant.
       state: [q; v] with the loops open.
     """
-    plant, context = model.plant, model.context
-    q, v = np.split(state.copy(), [plant.num_positions()])
-    q, jacobian = closed_chain(scenario, plant, context, q)
+    q, v = np.split(state.copy(), [model.plant.num_positions()])
+    q, jacobian = closed_chain(scenario, model, q)
     if v.any():
-        inverse = np.linalg.solve(plant.CalcMassMatrix(context), jacobian.T)
-        v = v - inverse @ np.linalg.solve(jacobian @ inverse, jacobian @ v)
+        v, _ = plastic_impact(model.calc_mass_matrix(q), jacobian, v)
     return np.concatenate([q, v])

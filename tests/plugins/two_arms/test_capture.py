@@ -25,7 +25,7 @@ def test_both_hands_take_the_momentum_at_once() -> None:
     model = make_true_plant(given)
     contact = planned_contact(given, model)
     v, H = contact.grasp.velocity, model.calc_mass_matrix(contact.q)
-    q, constraints = closed_chain(given, model.plant, model.context, contact.q)
+    q, constraints = closed_chain(given, model, contact.q)
     assert_allclose(q, contact.q, atol=1e-12)
     assert_allclose(constraints @ v, 0.0, atol=1e-12)
     assert_allclose(contact.momentum_after, contact.momentum_before, atol=1e-10)

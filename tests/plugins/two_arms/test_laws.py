@@ -182,7 +182,7 @@ def test_the_chains_model_is_that_of_the_constrained_tree() -> None:
 
     simulate(scenario(KNOWN, "duration=0.01"), blocks={"controller": Watch}, check_stability=False)
     chain, generator = seen[0], np.random.default_rng(0)
-    q = chain.tree.chain.closed(nominal.plant.GetPositions(chain.context), chain.context)
+    q = chain.tree.chain.closed(nominal.plant.GetPositions(chain.context))
     nu, rate = generator.normal(size=12), generator.normal(size=12)
     constraints = chain.tree.calc_constraints(q)
     whole = chain.map_of(constraints)
