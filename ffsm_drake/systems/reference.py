@@ -181,6 +181,9 @@ class AlongMotion(Continuous):
     motion: PlannedMotion
     frame: PlannedMotion | None = None
 
+    def __post_init__(self) -> None:
+        self.motion.row(0.0)  # raises its errors before a run
+
     @property
     def inputs(self) -> Mapping[str, int]:
         """See Continuous."""

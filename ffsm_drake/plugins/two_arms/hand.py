@@ -17,7 +17,8 @@ import numpy as np
 
 from ffsm_drake.common.plugins import service
 from ffsm_drake.loop.closed_loop import ClosedLoop
-from ffsm_drake.plugins.two_arms.contact import CLOSING, GAP, LOSS, WRENCHES, ContactForce
+from ffsm_drake.plugins.two_arms.contact import CLOSING, LOSS, ContactForce
+from ffsm_drake.plugins.two_arms.flow import GAP, WRENCHES
 from ffsm_drake.runs.ending import MISSED
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import Mission, Phase, PhasedRollout, Show, Situation, Stop
