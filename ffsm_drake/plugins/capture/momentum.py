@@ -77,8 +77,8 @@ class MomentumBudget:
     linear: list[float]  # N s
     angular: list[float]  # N m s; about the centre of mass, of the bodies alone
     mass: float  # kg; of servicer and target
-    # s; by driven group of the base: the shortest time in which its force or torque takes the
-    # momentum out; 0: no limit
+    # s; by driven group of the base: the time in which its force or torque takes the momentum out
+    # at the limit that holds in any direction; 0: no limit
     least_time: dict[str, float]
     storage: StorageBudget | None  # storage of the actuator that alone holds the attitude
     arm: ArmBudget | None  # where the attitude is undriven
@@ -356,7 +356,9 @@ def momentum_lines(budget: Mapping[str, Any] | None) -> list[str]:
     for group, what in (("base_rotation", "torque"), ("base_position", "force")):
         if group in budget["least_time"] and (storage is None or group == "base_position"):
             least = budget["least_time"][group]
-            within = f" in at least {number(least, 3)} s" if least > 0.0 else ""
+            within = (
+                f" in {number(least, 3)} s at its limit in any direction" if least > 0.0 else ""
+            )
             lines.append(f"{what} on the base removes the {_MOMENTA[group]} momentum{within}")
     if storage is not None:
         lines.append(
