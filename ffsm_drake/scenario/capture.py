@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from ffsm_drake.common.settings import Problems, setting
+from ffsm_drake.common.settings import Problems, setting, settings_of
 from ffsm_drake.scenario.fields import (
     ORIGIN,
     ZERO,
@@ -215,6 +215,15 @@ class Envelope:
         "largest angular velocity of the target relative to the end effector; null: any",
         above=0,
     )
+
+    def beyond(self, **misses: float) -> str:
+        """Return the misses that exceed their bounds, in words; empty if none does."""
+        bounds, known = vars(self), settings_of(Envelope)
+        return ", ".join(
+            f"{name} {miss:.3g} {known[name].unit} (capture.envelope.{name}: {bounds[name]:g})"
+            for name, miss in misses.items()
+            if bounds[name] is not None and not miss <= bounds[name]
+        )
 
 
 @dataclass

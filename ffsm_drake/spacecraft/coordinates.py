@@ -227,6 +227,12 @@ class StateSplit:
         return tuple(named[i] for i in sorted(named))
 
 
+def halves(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return q (nq) and v (nv) of a state [q; v], also of symbols."""
+    first = (len(state) + 1) // 2  # the quaternion has one entry more than the rotation vector
+    return state[:first], state[first:]
+
+
 def position_error(q_d: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Return the tracking error e (nv) from configuration q to q_d: rotation vector (world), then
     differences.

@@ -21,7 +21,7 @@ import functools
 
 import numpy as np
 
-from ffsm_drake.common.so3 import cross_of
+from ffsm_drake.plugins.baselines.payload import force_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.free_floating import FreeFloating, ReducedModel, driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -61,10 +61,7 @@ class Coordinated(ControlLaw):
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         internal, q, v, v_d = self.internal, sample.q, sample.v, sample.v_d
-        acceleration = sample.a_d.copy()
-        acceleration[:3] += 0.5 * cross_of(v_d[:3], v[:3])  # see ``payload``
-        force = internal.calc_mass_matrix(q) @ acceleration
-        force += 0.25 * (internal.calc_bias(q, v + v_d) - internal.calc_bias(q, v - v_d))
+        force = force_of(internal, q, v, v_d, sample.a_d)
         force += self.k_d * sample.e_dot + self.k_p * sample.e
         force[~internal.coordinates.is_driven] = 0.0
         if not self.model.coordinates.undriven:

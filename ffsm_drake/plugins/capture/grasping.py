@@ -18,7 +18,7 @@ from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
 from ffsm_drake.scenario.capture import Envelope
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.coordinates import Coordinates, halves
 from ffsm_drake.spacecraft.inertia import SIX
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
@@ -155,7 +155,7 @@ class Meeting:
     def of(cls, scenario: Scenario, target: Target, stage: Stage) -> "Meeting":
         """The meeting of a target and the gripper of a stage."""
         (X_WP, twist), model = target, stage.model()
-        q, v = np.split(stage.state, [model.plant.num_positions()])
+        q, v = halves(stage.state)
         model.plant.SetPositions(model.context, q)
         X_WQ = RigidTransform(payload_body(scenario, model).EvalPoseInWorld(model.context))
         offset = X_WQ.translation() - X_WP.translation()
@@ -177,17 +177,8 @@ class Meeting:
             np.linalg.norm(part.reshape(2, 3), axis=1).tolist()
             for part in (self.offset, self.mismatch)
         )
-        sizes = {
-            "position": (distance, "m"),
-            "angle": (angle, "rad"),
-            "velocity": (speed, "m/s"),
-            "angular_velocity": (rate, "rad/s"),
-        }
-        limits = {name: getattr(envelope, name) for name in sizes}
-        return ", ".join(
-            f"{name} {size:.3g} {unit} (capture.envelope.{name}: {limits[name]:g})"
-            for name, (size, unit) in sizes.items()
-            if limits[name] is not None and size > limits[name]
+        return envelope.beyond(
+            position=distance, angle=angle, velocity=speed, angular_velocity=rate
         )
 
     def grasp(self, scenario: Scenario, model: PlantModel, path: np.ndarray) -> MadeGrasp:

@@ -19,7 +19,7 @@ from ffsm_drake.plugins.capture.contact_force import Jaws
 from ffsm_drake.plugins.capture.free_body import Target
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
 from ffsm_drake.scenario.capture import Compliance
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, halves
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.spacecraft.plant import hand_frame
@@ -242,7 +242,7 @@ class Closing(Sampled):
         angle, distance = np.linalg.norm(met.offset.reshape(2, 3), axis=1)
         is_beyond = (angle > self.envelope[0]) | (distance > self.envelope[1])
         left = np.where((left == math.inf) & is_beyond, time, left)
-        mobility = np.linalg.inv(self.model.calc_mass_matrix(self._split(state)[0]))
+        mobility = np.linalg.inv(self.model.calc_mass_matrix(halves(state)[0]))
         zeros = np.zeros(6)
         acting, force, wrench, slid = choose(
             left == math.inf,
@@ -278,7 +278,7 @@ class Closing(Sampled):
 
     def _met(self, target: Target, left: Any, state: np.ndarray) -> Met:
         """``met``."""
-        model, hand, (q, v) = self.model, self.hand, self._split(state)
+        model, hand, (q, v) = self.model, self.hand, halves(state)
         pose, R_WE = model.calc_frame_pose(q, hand), model.calc_frame_rotation(q, hand)
         moving = model.calc_frame_twist(q, v, hand)
         w_E, v_E, p_WE, motion = moving[:3], moving[3:], pose[4:], target.motion
@@ -296,11 +296,6 @@ class Closing(Sampled):
             left=left,
         )
 
-    def _split(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The plant's q and v."""
-        size = (len(state) + 1) // 2
-        return state[:size], state[size:]
-
     def _damping(self, rates: Any, mobility: Any, period: Any) -> Any:
         """The torques or forces that damp limp joints. They follow from the rates after the step,
         because damping by the rates before it is unstable for a wrist with small inertia.
@@ -310,7 +305,7 @@ class Closing(Sampled):
         return np.linalg.solve(resists + period * of_joints, rates)
 
     def _joint_rates(self, state: np.ndarray) -> np.ndarray:
-        _, v = self._split(state)
+        _, v = halves(state)
         return v[self.joints]
 
     def _act(
@@ -321,7 +316,7 @@ class Closing(Sampled):
 
         Args: time since the first contact at its end, s; ``mobility``: inverse mass matrix.
         """
-        (q, _), R, R_WP = self._split(state), met.R_WE, matrix_of(met.motion[:4])
+        (q, _), R, R_WP = halves(state), met.R_WE, matrix_of(met.motion[:4])
         # J of the point of the hand where the target's grasp frame is: action is reaction there
         jacobian = self.model.calc_point_jacobian(q, self.hand, met.offset[3:])
         p_CG = met.p_WE + times(R, met.offset[3:]) - target.center

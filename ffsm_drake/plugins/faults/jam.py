@@ -9,7 +9,7 @@ import numpy as np
 
 from ffsm_drake.common.choice import is_known, may_be
 from ffsm_drake.scenario import MassProperties, Scenario
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, halves
 from ffsm_drake.spacecraft.nominal import Carrier, PlantModel, make_flexible_plant
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.faults import BreakingPart, first_sample, hits
@@ -88,8 +88,7 @@ class Jam(Continuous):
     def _along(self, inputs: Arrays, joints: np.ndarray, are_held: Any) -> np.ndarray:
         """The force (n) along joints that are jammed, or may be."""
         model, split = self.model, self.model.split
-        whole = split.whole(inputs["state"], inputs.get("hidden_state"))
-        q, v = np.split(whole, [len(whole) - len(joints)])
+        q, v = halves(split.whole(inputs["state"], inputs.get("hidden_state")))
         acceleration = model.calc_acceleration(q, v, split.whole_velocities(inputs["other_force"]))
         inverse = joints.T @ np.linalg.solve(model.calc_mass_matrix(q), joints)
         without = np.eye(len(are_held))

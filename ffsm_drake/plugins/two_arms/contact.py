@@ -15,7 +15,7 @@ from ffsm_drake.plugins.two_arms.flow import GAP, WRENCHES, ContactFlow, contact
 from ffsm_drake.scenario import Grip, Scenario
 from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.scenario.contacts import ALL_HANDS, WRENCH, Contact, closing_contacts
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.coordinates import Coordinates, halves
 from ffsm_drake.spacecraft.grasp import plastic_impact
 from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.spacecraft.plant import configuration
@@ -40,13 +40,6 @@ _FIGURES = {
     "angular_impulse": "angular impulse",
     "angle": "angular miss",
     "distance": "miss",
-}
-# miss of a hand -> its bound, a key of ``capture.envelope``, and its unit
-_BOUNDS = {
-    "distance": ("position", "m"),
-    "angle": ("angle", "rad"),
-    "speed": ("velocity", "m/s"),
-    "rate": ("angular_velocity", "rad/s"),
 }
 
 
@@ -272,17 +265,14 @@ class ContactForce(CompositeBlock):
         """The part of a hand's miss beyond an envelope, in words, at the plant's own [q; v]; empty
         where it holds.
         """
-        miss = self._miss(state)
-        bounds = {name: getattr(envelope, bound) for name, (bound, _) in _BOUNDS.items()}
-        return ", ".join(
-            f"{key} {miss[name]:.3g} {unit} (capture.envelope.{key}: {bounds[name]:g})"
-            for name, (key, unit) in _BOUNDS.items()
-            if bounds[name] is not None and not miss[name] <= bounds[name]
+        angle, distance, rate, speed = self._miss(state).values()
+        return envelope.beyond(
+            position=distance, angle=angle, velocity=speed, angular_velocity=rate
         )
 
     def hold(self, state: np.ndarray) -> None:
         """Hold the hands where they are at the plant's own [q; v]."""
-        q, model = _halves(state)[0], self._flow.model
+        q, model = halves(state)[0], self._flow.model
         closures = tuple(each.met(model, q) for each in self._flow.closures)
         self._contact.exchange(dataclasses.replace(self._flow, closures=closures))
 
@@ -294,7 +284,7 @@ class ContactForce(CompositeBlock):
         """
         self.hold(state)
         flow = self._contact.block_at(self.GetSubsystemContext(self._contact, context))
-        (q, v), model, multipliers = _halves(state), flow.model, np.zeros(flow.gains.shape[1])
+        (q, v), model, multipliers = halves(state), flow.model, np.zeros(flow.gains.shape[1])
         rows, H = flow.jacobian(q)[flow.rigid], model.calc_mass_matrix(q)
         after, multipliers[flow.rigid] = plastic_impact(H, rows, v)
         momenta = list[np.ndarray]()
@@ -320,16 +310,10 @@ class ContactForce(CompositeBlock):
         """The largest distance of a hand from its place, and its motion there, at the plant's own
         [q; v]: ``angle`` (rad), ``distance`` (m), ``rate`` (rad/s), ``speed`` (m/s).
         """
-        (q, v), flow = _halves(state), self._flow  # not where an earlier run has closed
+        (q, v), flow = halves(state), self._flow  # not where an earlier run has closed
         gap, rate = flow.wrench(flow.gap(q)), flow.wrench(flow.jacobian(q) @ v)
         sizes = (*_largest_of(gap), *_largest_of(rate))
         return dict(zip(("angle", "distance", "rate", "speed"), sizes, strict=True))
-
-
-def _halves(state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """q and v of a plant's own state."""
-    q, v = np.split(state, [(state.size + 1) // 2])
-    return q, v
 
 
 def _largest_of(pairs: np.ndarray) -> list[float]:

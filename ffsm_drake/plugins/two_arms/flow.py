@@ -11,6 +11,7 @@ from ffsm_drake.loop.blocks import WRENCH
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Closure
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.scenario.contacts import Contact
+from ffsm_drake.spacecraft.coordinates import halves
 from ffsm_drake.spacecraft.nominal import Carrier, PlantModel, make_flexible_plant
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.sampled import Arrays
@@ -102,8 +103,7 @@ class ContactFlow(Continuous):
     def _split(self, inputs: Arrays) -> Any:
         """The plant's own q and v."""
         whole = self.model.split.whole(inputs["state"], inputs.get("hidden_state"))
-        half = (len(whole) + 1) // 2
-        return whole[:half], whole[half:]
+        return halves(whole)
 
 
 def contact_flow(setup: BlockSetup) -> ContactFlow:

@@ -17,7 +17,7 @@ import numpy as np
 
 from ffsm_drake.common.plugins import service
 from ffsm_drake.loop.closed_loop import ClosedLoop
-from ffsm_drake.plugins.two_arms.contact import CLOSING, LOSS, ContactForce
+from ffsm_drake.plugins.two_arms.contact import CLOSING, LOSS
 from ffsm_drake.plugins.two_arms.flow import GAP, WRENCHES
 from ffsm_drake.runs.ending import MISSED
 from ffsm_drake.runs.log import RunLog
@@ -74,7 +74,7 @@ class Hand(Stop):
         """See PhaseKind."""
         scenario, block = self.scenario, self.held.blocks[_BLOCK]
         envelope = Envelope() if scenario.capture is None else scenario.capture.envelope
-        beyond = _contact(block).beyond(now.stage.state, envelope)
+        beyond = block.beyond(now.stage.state, envelope)
         if not beyond:
             names = (("stop", self.until),)
             return Phase(names=names, grip=Grip(closed=self.time), afresh=(_BLOCK,)), now
@@ -89,16 +89,11 @@ class Hand(Stop):
             stage.carry(now.made.payload)
         series = now.logs[-1].series
         work = series[LOSS][-1].item() if LOSS in series else 0.0
-        hands = _contact(stage.blocks[_BLOCK])
+        hands: Any = stage.blocks[_BLOCK]
         state = hands.close(stage.context(_BLOCK), now.stage.state, work=work)
         stage.place(state)
         stage.resume(now.stage, stage.desired, afresh=phase.afresh)
         return now
-
-
-def _contact(block: Any) -> ContactForce:
-    found: ContactForce = block
-    return found
 
 
 def _complete(scenario: Scenario, logs: tuple[RunLog, ...]) -> tuple[RunLog, ...]:

@@ -24,7 +24,7 @@ from ffsm_drake.common.so3 import matrix_of, quaternion_of, rotation_error
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Loop, newton_step
 from ffsm_drake.scenario import Reference, Scenario
 from ffsm_drake.scenario.contacts import ALL_HANDS, closing_times
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, halves
 from ffsm_drake.spacecraft.grasp import plastic_impact
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, files_read, find_body
@@ -355,7 +355,7 @@ def start_of(scenario: Scenario, model: PlantModel, state: np.ndarray) -> np.nda
       model: the true plant.
       state: [q; v] with the loops open.
     """
-    q, v = np.split(state.copy(), [model.plant.num_positions()])
+    q, v = halves(state)
     q, jacobian = closed_chain(scenario, model, q)
     if v.any():
         v, _ = plastic_impact(model.calc_mass_matrix(q), jacobian, v)

@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from ffsm_drake.common.errors import BlockError
+from ffsm_drake.spacecraft.coordinates import halves
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.estimation import Estimator, make_estimator
 from ffsm_drake.systems.controllers.law import (
@@ -214,7 +215,7 @@ def after_grasp(
     model: PlantModel, before: PlantModel, reference: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Hhat^-1 of after times Hhat of before a grasp (nv, nv), and v_d (nv), from [q_d; v_d]."""
-    q, v_d = np.split(reference, [(reference.size + 1) // 2])
+    q, v_d = halves(reference)
     return np.linalg.solve(model.calc_mass_matrix(q), before.calc_mass_matrix(q)), v_d
 
 

@@ -14,7 +14,7 @@ from ffsm_drake.runs.limits import closest_of
 from ffsm_drake.runs.phases import Phase, Situation, Stop
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import HELD, Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.coordinates import Coordinates, halves
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import posture_of
 from ffsm_drake.systems.limits import actuation_limit
@@ -60,7 +60,7 @@ def _at_rest_in_gripper(now: Situation) -> Scenario:
     chase: Chase = now.own
     scenario = chase.aim.scenario
     model = make_nominal_plant(scenario)
-    q, v = np.split(now.stage.measured, [model.plant.num_positions()])
+    q, v = halves(now.stage.measured)
     body = payload_body(scenario, model)
     w, v_P = np.split(model.calc_jacobian(q, body.body_frame()) @ v, 2)
     arm = body.EvalPoseInWorld(model.context).rotation() @ chase.arm
