@@ -38,7 +38,7 @@ from ffsm_drake.systems.registry import (
     section_parts,
 )
 from ffsm_drake.systems.sampled import Sampled, SampledSystem
-from ffsm_drake.systems.setup import BlockSetup
+from ffsm_drake.systems.setup import BlockSetup, inputs_of, outputs_of
 
 STATE, VELOCITY = "nq + nv", "nv"  # sizes of ports
 FRAME, NUMBER, UNITS = str(FRAME_SIZE), "1", "units"
@@ -389,34 +389,25 @@ def check_ports(system: Any, block: str, coordinates: Coordinates, *, place: str
         raise BlockError(f"{place} cannot be built: {cause}") from None
     size = _sizes(coordinates)
     known = {**ports.inputs, **ports.optional_inputs}
-    for index in range(system.num_input_ports()):
-        if (name := system.get_input_port(index).get_name()) not in known:  # unconnected
+    inputs, outputs = inputs_of(system), outputs_of(system)
+    for name in inputs:
+        if name not in known:  # unconnected
             raise BlockError(f"{place}: unknown input port '{name}'; known: {choices(name, known)}")
-    for kind, required, words, has, port_of in (
-        ("input", ports.inputs, known, system.HasInputPort, system.GetInputPort),
-        (
-            "output",
-            ports.outputs,
-            {**ports.outputs, **ports.optional_outputs},
-            system.HasOutputPort,
-            system.GetOutputPort,
-        ),
+    for kind, required, words, found in (
+        ("input", ports.inputs, known, inputs),
+        ("output", ports.outputs, {**ports.outputs, **ports.optional_outputs}, outputs),
     ):
         for name, word in words.items():
-            if not has(name):
+            if name not in found:
                 if name in required:
                     raise BlockError(f"{place}: needs an {kind} port '{name}' of size {size[word]}")
                 continue
-            port = port_of(name)
+            port = found[name]
             if port.size() != size.get(word, port.size()):
                 raise BlockError(
                     f"{place}: {kind} port '{name}' must have size {size[word]}, not {port.size()}"
                 )
-            if (
-                kind == "output"
-                and ports.held
-                and system.HasDirectFeedthrough(int(port.get_index()))
-            ):
+            if kind == "output" and ports.held and system.HasDirectFeedthrough(port.get_index()):
                 raise BlockError(
                     f"{place}: output port '{name}' must not depend directly on an input; use "
                     "DeclareStateOutputPort, or prerequisites {self.all_state_ticket()}"

@@ -23,6 +23,7 @@ from pydrake.systems.primitives import (
     Adder,
     ConstantVectorSource,
     Gain,
+    MatrixGain,
     ZeroOrderHold,
 )
 
@@ -485,21 +486,18 @@ class _Wiring:
 
     def _on_whole_plant(self, acts: Source, on_hidden: list[Source]) -> Source:
         """Combine a force on the known coordinates with forces on hidden coordinates."""
+        terms = [self._along("known_force", acts, self._split.known)]
         if on_hidden:
-            hidden = self._sum("total_hidden_force", on_hidden)
-        else:
-            zero = ConstantVectorSource(np.zeros(len(self._split.names)))
-            hidden = _output(self._builder.AddNamedSystem("no_hidden_force", zero))
-        terms = {"known_force": acts, "hidden_force": hidden}
-        entries = self._split.known, self._split.hidden
-        places = [(k, i) for k, of in enumerate(entries) for i in range(len(of))]
-        order = np.argsort(np.concatenate(entries))
-        sizes = {name: _port(source).size() for name, source in terms.items()}
-        whole = {"whole_force": [places[i] for i in order]}
-        selector = self._builder.AddNamedSystem("whole_force", make_selector(sizes, whole))
-        for index, source in enumerate(terms.values()):
-            self._builder.Connect(_port(source), selector.get_input_port(index))
-        return selector, "whole_force"
+            total = self._sum("total_hidden_force", on_hidden)
+            terms.append(self._along("hidden_force", total, self._split.hidden))
+        return self._sum("whole_force", terms)
+
+    def _along(self, name: str, force: Source, entries: np.ndarray) -> Source:
+        """Return a force along some of the plant's velocities as one along all."""
+        gain = MatrixGain(np.eye(self._plant.num_velocities())[:, entries])
+        self._builder.AddNamedSystem(name, gain)
+        self._builder.Connect(_port(force), gain.get_input_port())
+        return _output(gain)
 
     def _states(self) -> dict[str, Source]:
         """Return the known state, and the hidden one if there is any, taken from the plant's."""

@@ -185,14 +185,9 @@ class DividedSystem(CompositeBlock):
             systems["parts"] = Demultiplexer(sizes)
             named = {f"y{index}": part for index, part in enumerate(parts)}
             signals = {"parts": {"u0": "result", **named}}
-        held = [port.get_name() for port in outputs_of(own) if port.get_name() != "result"]
-        super().__init__(
-            name,
-            systems,
-            inputs=[port.get_name() for port in inputs_of(own)],
-            outputs=[*held, *filter(None, parts)],
-            signals=signals,
-        )
+        held = outputs_of(own).keys() - {"result"}
+        shown = [*sorted(held), *filter(None, parts)]
+        super().__init__(name, systems, inputs=inputs_of(own), outputs=shown, signals=signals)
         self._own: Any = own
 
 

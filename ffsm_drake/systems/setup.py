@@ -57,8 +57,8 @@ class CompositeBlock(Diagram):
         for key, system in systems.items():
             builder.AddNamedSystem(key, system)
             own = signals.get(key, {})
-            for port in inputs_of(system):
-                signal = own.get(port.get_name(), port.get_name())
+            for port_name, port in inputs_of(system).items():
+                signal = own.get(port_name, port_name)
                 if signal in made:
                     builder.Connect(made[signal], port)
                 elif signal in exported:
@@ -68,8 +68,8 @@ class CompositeBlock(Diagram):
                     exported.add(signal)
                 else:
                     waiting.append((signal, port))
-            for port in outputs_of(system):
-                made[own.get(port.get_name(), port.get_name())] = port
+            for port_name, port in outputs_of(system).items():
+                made[own.get(port_name, port_name)] = port
         for signal, port in waiting:
             builder.Connect(made[signal], port)
         for signal in outputs or made.keys() - {*inputs}:
@@ -92,14 +92,16 @@ class CompositeBlock(Diagram):
                 getattr(system, method)(self.GetMutableSubsystemContext(system, context), what)
 
 
-def inputs_of(system: System) -> list[InputPort]:
-    """Return the input ports of a system."""
-    return [system.get_input_port(index) for index in range(system.num_input_ports())]
+def inputs_of(system: System) -> dict[str, InputPort]:
+    """Return the input ports of a system by name."""
+    ports = map(system.get_input_port, range(system.num_input_ports()))
+    return {port.get_name(): port for port in ports}
 
 
-def outputs_of(system: System) -> list[OutputPort]:
-    """Return the output ports of a system."""
-    return [system.get_output_port(index) for index in range(system.num_output_ports())]
+def outputs_of(system: System) -> dict[str, OutputPort]:
+    """Return the output ports of a system by name."""
+    ports = map(system.get_output_port, range(system.num_output_ports()))
+    return {port.get_name(): port for port in ports}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
