@@ -33,7 +33,7 @@ from ffsm_drake.scenario.capture import Approach
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import find_frame
 from ffsm_drake.systems.planned_motion import PlannedMotion
-from ffsm_drake.systems.reference import PlannedReference, reference_from
+from ffsm_drake.systems.reference import AlongMotion, PlannedReference
 from ffsm_drake.systems.setup import BlockSetup
 
 HERE = Path(__file__).parent / "venus_express"
@@ -243,7 +243,7 @@ def fly(plan: Plan) -> str:
     def reference(setup: BlockSetup) -> Any:
         if setup.grip.holds:  # from the grasp on
             return PlannedReference().build(setup)
-        return reference_from(plan.motion)
+        return AlongMotion(motion=plan.motion)
 
     rollout = make_rollout(plan.scenario, blocks={"reference": reference})
     try:

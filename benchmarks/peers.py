@@ -22,7 +22,7 @@ from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.planned_motion import PlannedMotion
-from ffsm_drake.systems.reference import reference_from
+from ffsm_drake.systems.reference import AlongMotion
 from ffsm_drake.systems.setup import BlockSetup
 
 HERE = Path(__file__).parent
@@ -95,7 +95,7 @@ def flown(scenario: Scenario, *, law: Any = None, at_once: bool = True) -> RunRe
         goal = scenario.target_posture
         q = [1.0, 0.0, 0.0, 0.0, *goal.base_position, *(goal.joints[name] for name in NAMES)]
         held = Held(np.array(q), coordinates=setup.coordinates, sample_time=scenario.sample_time)
-        return reference_from(held)
+        return AlongMotion(motion=held)
 
     blocks: dict[str, Any] = {"reference": reference} if at_once else {}
     if law is not None:
