@@ -40,8 +40,8 @@ class Bodies:
         The first array is the momentum of the mass, the second the momentum of the rotation about
         the body's own centre of mass. Both are [angular; linear] about the origin, world axes.
         """
-        turn, angular, linear, position = log.turns, log.angular, log.linear, log.position
-        w = np.einsum("nji,nj->ni", turn, angular)[:, None]
+        turn, linear, position = log.attitude.as_matrix(), log.linear, log.position
+        w = log.attitude.inv().apply(log.angular)[:, None]
         arm = np.einsum("nij,nbj->nbi", turn, self.center)
         relative = np.einsum("nij,nbj->nbi", turn, np.cross(w, self.center) + self.velocity)
         push = self.mass[:, None] * (linear[:, None] + relative)
@@ -100,8 +100,7 @@ class Dynamics:
         """Points that are often logged in place of the base's origin: positions from the origin
         (n, 3), m, and velocities relative to it (n, 3), m/s, world axes.
         """
-        turn = log.turns
-        w = np.einsum("nji,nj->ni", turn, log.angular)
+        w = log.attitude.inv().apply(log.angular)
         base = base_body(self.plant).CalcCenterOfMassInBodyFrame(self.context)
         rows = every(len(log.time), most=MOST)
         bodies = self.bodies_of(only(log, rows))
@@ -113,8 +112,8 @@ class Dynamics:
         still = np.zeros_like(whole)
         return {
             point: (
-                np.einsum("nij,nj->ni", turn, arm),
-                np.einsum("nij,nj->ni", turn, np.cross(w, arm) + speed),
+                log.attitude.apply(arm),
+                log.attitude.apply(np.cross(w, arm) + speed),
             )
             for point, arm, speed in (
                 ("the base's centre of mass", still + base, still),

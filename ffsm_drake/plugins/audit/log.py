@@ -10,11 +10,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from ffsm_drake.common.so3 import in_body_axes
-
 Array = np.ndarray
 RATES = ("angular", "linear", "rates")  # absent from a log of poses alone
-_INVERSE = np.array([1.0, -1.0, -1.0, -1.0])  # inverts a quaternion
 _Samples = TypeVar("_Samples")
 
 
@@ -50,11 +47,11 @@ class Log:
         """A copy with other columns."""
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
 
-    @property
-    def turns(self) -> Array:
-        """R_WB (n, 3, 3)."""
-        found: Array = attitudes(self.quaternion).as_matrix()
-        return found
+    @functools.cached_property
+    def attitude(self) -> Rotation:
+        """R_WB (n), of quaternions of any norm."""
+        largest = np.abs(self.quaternion).max(axis=1, keepdims=True)
+        return Rotation.from_quat(self.quaternion / largest, scalar_first=True)
 
     @functools.cached_property
     def resampled(self) -> "Log":
@@ -88,16 +85,6 @@ class Log:
                 sides = draw.choice([-0.5, 0.5], values.shape)
                 changes[what] = values + digit * np.take_along_axis(sides, runs, 0)
         return self.replace(**changes)
-
-
-def attitudes(quaternions: Array) -> Rotation:
-    """Rotations of quaternions (n, 4), w first."""
-    return Rotation.from_quat(quaternions, scalar_first=True)
-
-
-def in_world_axes(quaternions: Array, vectors: Array) -> Array:
-    """Vectors (n, 3) from body axes to world axes, for attitudes (n, 4), w first."""
-    return in_body_axes(quaternions * _INVERSE, vectors)
 
 
 def only(samples: _Samples, kept: Array | slice) -> _Samples:

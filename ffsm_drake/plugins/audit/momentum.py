@@ -12,10 +12,9 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.plugins.audit.checks import UNEXPLAINED, Check, fault, undecided
 from ffsm_drake.plugins.audit.dynamics import Bodies, Dynamics
-from ffsm_drake.plugins.audit.log import Array, Log, attitudes, every, only
+from ffsm_drake.plugins.audit.log import Array, Log, every, only
 from ffsm_drake.plugins.audit.misfit import (
     DOUBTS,
     SURE,
@@ -29,7 +28,7 @@ from ffsm_drake.plugins.audit.misfit import (
     since_start,
     swing,
 )  # fmt: skip
-from ffsm_drake.plugins.audit.motions import turned
+from ffsm_drake.plugins.audit.motions import constant, fixed, turned
 
 _GROUPS = 60  # places of the log at which momentum is compared, of four samples each
 _DRIFTED = 0.2  # largest share of the residual that an integrator's drift may leave
@@ -285,22 +284,19 @@ def _of_zeros(found: Momentum) -> Iterator[Mistake]:
 
 def _of_forces(found: Momentum) -> Iterator[Mistake]:
     """Gravity, a constant force, drag of the base, and momentum that decays."""
-    some, place, turn = found.some, found.some.position, found.some.turns
+    some, place, attitude = found.some, found.some.position, found.some.attitude
     shares = found.dynamics.masses / found.dynamics.mass
-    center = place + np.einsum("nij,b,nbj->ni", turn, shares, found.bodies.center)
+    center = place + attitude.apply(np.einsum("b,nbi->ni", shares, found.bodies.center))
     still = np.zeros_like(place)
 
     def impulse(force: Array, at: Array, torque: Array) -> Array:
         rate = np.hstack([np.cross(at, force) + torque, force])
         return _integral(some.time, rate) / found.scale
 
-    world, base = (
-        [*np.broadcast_to(np.eye(3)[:, None], (3, *place.shape))],
-        [*np.moveaxis(turn, 2, 0)],
-    )
     decay = -_integral(some.time, found.missed)
 
-    for words, axes in (("world axes", world), ("base axes", base)):
+    world = constant(some, np.eye(3))
+    for words, axes in (("world axes", world), ("base axes", fixed(some))):
         pushes = [impulse(axis, place, still) for axis in axes]
         turns = [impulse(still, place, axis) for axis in axes]
         for what, columns in (("N", pushes), ("N m", turns), ("(N, N m)", pushes + turns)):
@@ -324,7 +320,7 @@ def _of_frames(found: Momentum) -> Iterator[Mistake]:
     turning frame.
     """
     some, since = found.some, (found.some.time - found.some.time[0])[:, None]
-    attitude, place = attitudes(some.quaternion), some.position + found.log.position[0]
+    attitude, place = some.attitude, some.position + found.log.position[0]
 
     def turned_to(turn: Rotation, angular: Array) -> Log:
         return some.replace(quaternion=turn.as_quat(scalar_first=True), angular=angular)
@@ -392,7 +388,7 @@ def _of_integrator(found: Momentum) -> Iterator[Mistake]:
     near = every(len(period), most=1000)
     here, there = only(log, near), only(log, near + 1)
     times = 0.5 * (here.time + there.time)
-    halfway = Rotation.from_rotvec(0.5 * turned(log)[near]) * attitudes(here.quaternion)
+    halfway = Rotation.from_rotvec(0.5 * turned(log)[near]) * here.attitude
     most = float(np.abs(np.hstack([found.some.angular, found.some.rates])).max())
     trial = 0.01 / max(most, 1e-9)
 
@@ -402,7 +398,7 @@ def _of_integrator(found: Momentum) -> Iterator[Mistake]:
         def after(what: str, step: float) -> Array:
             first, last = getattr(here, what), getattr(there, what)
             if is_body and what == "angular":
-                first, last = (in_body_axes(x.quaternion, x.angular) for x in (here, there))
+                first, last = (x.attitude.inv().apply(x.angular) for x in (here, there))
             found: Array = 0.5 * (first + last) + step * (last - first) / period[near][:, None]
             return found
 

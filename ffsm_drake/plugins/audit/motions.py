@@ -7,8 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ffsm_drake.common.so3 import in_body_axes
-from ffsm_drake.plugins.audit.log import Array, Log, in_world_axes, thinned
+from ffsm_drake.plugins.audit.log import Array, Log, thinned
 from ffsm_drake.plugins.audit.misfit import Estimate, Mistake, Motion, about, areas, means
 from ffsm_drake.spacecraft.coordinates import position_errors
 
@@ -82,18 +81,23 @@ def mended(log: Log, rate: str, found: Estimate) -> Log:
     return log.replace(**{rate: values + sum(size * change for size, change in changes)})
 
 
-def _constant(log: Log, axes: Array) -> list[Array]:
+def constant(log: Log, axes: Array) -> list[Array]:
     """Vectors (k), repeated for each sample (n, k)."""
     return [np.broadcast_to(axis, (len(log.time), len(axis))) for axis in axes]
 
 
+def fixed(log: Log) -> list[Array]:
+    """The axes of the base (n, 3)."""
+    return [log.attitude.apply(axis) for axis in np.eye(3)]
+
+
 def _of_angular(log: Log) -> Iterator[Mistake]:
     """Mistakes of a gyro: turned or scaled axes, an offset, a turning frame."""
-    q, w, axes = log.quaternion, log.angular, [*np.moveaxis(log.turns, 2, 0)]
-    local, moved = in_body_axes(q, w), in_body_axes(q[:-1], turned(log))
+    w, attitude, axes = log.angular, log.attitude, fixed(log)
+    local, moved = attitude.inv().apply(w), attitude[:-1].inv().apply(turned(log))
     turn, _ = Rotation.align_vectors(moved, means(local) * np.diff(log.time)[:, None])
     vector = about(turn.as_rotvec(degrees=True), None, "deg")
-    change = in_world_axes(q, turn.apply(local)) - w
+    change = (attitude * turn).apply(local) - w
     yield Mistake(
         cause="axes", text=f"its axes are the base axes turned by {vector} (rotation vector)",
         columns=[areas(log.time, change)], changes=[change], more=2, least=0.98, most=1.02,
@@ -103,7 +107,7 @@ def _of_angular(log: Log) -> Iterator[Mistake]:
         log, "angular",
         ("rate_offset", "a constant rate offset of {0} in base axes", axes, -_DEGREES, "deg/s"),
         ("frame_rate", "relative to a frame that turns at a constant rate of {0} (world axes)",
-         _constant(log, np.eye(3)), 1.0, "rad/s"),
+         constant(log, np.eye(3)), 1.0, "rad/s"),
         ("rate_scale", "the attitude changes by more than the rate about each axis: {0}", along,
          100.0, "%"),
     )  # fmt: skip
@@ -115,8 +119,8 @@ def _of_linear(log: Log) -> Iterator[Mistake]:
     yield from _mistakes(
         log, "linear",
         ("rate_offset", "a constant offset of {0} in world axes: another frame's motion",
-         _constant(log, still), -1.0, "m/s"),
-        ("rate_offset", "a constant offset of {0} in base axes", [*np.moveaxis(log.turns, 2, 0)],
+         constant(log, still), -1.0, "m/s"),
+        ("rate_offset", "a constant offset of {0} in base axes", fixed(log),
          -1.0, "m/s"),
         ("frame_rate", "relative to a frame that turns at a constant rate of {0} (world axes)",
          [np.cross(axis, log.position) for axis in still], 1.0, "rad/s"),
@@ -128,7 +132,7 @@ def _of_linear(log: Log) -> Iterator[Mistake]:
 def _of_joint(log: Log) -> Iterator[Mistake]:
     """Mistakes of a joint's rate: an offset."""
     offset = "its rate has a constant offset of {0}"
-    changes = _constant(log, np.ones((1, 1)))
+    changes = constant(log, np.ones((1, 1)))
     return _mistakes(log, "rates", ("rate_offset", offset, changes, -1.0, "rad/s or m/s"))
 
 

@@ -11,10 +11,9 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from ffsm_drake.common.numbers import counted
-from ffsm_drake.common.so3 import in_body_axes
 from ffsm_drake.plugins.audit.checks import Check, fault
 from ffsm_drake.plugins.audit.dynamics import Dynamics
-from ffsm_drake.plugins.audit.log import Array, Log, in_world_axes
+from ffsm_drake.plugins.audit.log import Array, Log
 from ffsm_drake.plugins.audit.misfit import (
     STILL,
     Followed,
@@ -176,7 +175,7 @@ def _attitude(log: Log, tolerance: float) -> _Outcome:
     """Direction of the quaternion, axes of the angular velocity, and its mistakes."""
 
     def both(log: Log, faults: Sequence[Check] = ()) -> list[_Reading]:
-        body = log.replace(angular=in_world_axes(log.quaternion, log.angular))
+        body = log.replace(angular=log.attitude.apply(log.angular))
         return [
             _Reading(kind=ANGULAR, said=f"in {axes} axes", log=each, faults=faults)
             for axes, each in {"world": log, "body": body}.items()
@@ -192,9 +191,9 @@ def _attitude(log: Log, tolerance: float) -> _Outcome:
         )
     ]
     said = "{0} axes were taken for {1} axes and turned to {0} axes once more"
-    twice = in_world_axes(log.quaternion, usual[1].log.angular)
+    twice = log.attitude.apply(usual[1].log.angular)
     wrong = {said.format("body", "world"): twice,
-             said.format("world", "body"): in_body_axes(log.quaternion, log.angular)}  # fmt: skip
+             said.format("world", "body"): log.attitude.inv().apply(log.angular)}  # fmt: skip
     others += [
         _Reading(kind=ANGULAR, said="", log=log.replace(angular=omega),
                  faults=[fault(ANGULAR.name, "axes", words)])
@@ -207,7 +206,7 @@ def _base_velocity(log: Log, dynamics: Dynamics, tolerance: float) -> _Outcome:
     """Axes and reference point of the base's velocity, and its mistakes."""
     axes = {
         "in world axes": log.linear,
-        "in body axes": in_world_axes(log.quaternion, log.linear),
+        "in body axes": log.attitude.apply(log.linear),
     }
     named = dict(axes)
     for point, (arm, swung) in dynamics.points(log).items():

@@ -18,7 +18,6 @@ from ffsm_drake.plugins.audit.log import (
     RATES,
     Array,
     Log,
-    in_world_axes,
     interpolated,
     only,
     resolution,
@@ -249,7 +248,7 @@ def _at_poses(path: Path, log: Log) -> Log:
     if (none := np.flatnonzero(~found.quaternion.any(axis=1))).size:
         raise RecordError(f"{path}: the quaternion is zero in sample {none[0]}")
     turned = {
-        what: in_world_axes(found.quaternion, getattr(found, what))
+        what: found.attitude.apply(getattr(found, what))
         for what in ("force", "torque") if log.stated.get(what) == "body axes"
     }  # fmt: skip
     return found.replace(note=note, **turned)
