@@ -13,7 +13,7 @@ from ffsm_drake.common.numbers import usable
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.signals import SIGNALS
 from ffsm_drake.runs.table import Table
-from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS, frame_poses, frame_rows
+from ffsm_drake.runs.tracking import frame_poses
 from ffsm_drake.scenario import NOTHING, Scenario
 from ffsm_drake.spacecraft.coordinates import error_rate
 from ffsm_drake.spacecraft.grasp import shift_moment
@@ -26,7 +26,7 @@ from ffsm_drake.systems.part import ROLES, STORED_MOMENTUM, PlacedPart, values_o
 
 def make_table(log: RunLog) -> Table:
     """Return the labelled time series of a run."""
-    scenario, coordinates = log.scenario, log.coordinates
+    scenario = log.scenario
     model = make_flexible_plant(scenario)
     states = log.whole_states
     values = _values(log, model, states)
@@ -38,32 +38,13 @@ def make_table(log: RunLog) -> Table:
         if name.startswith("force_"):
             meaning = f"external force '{name[6:]}' at this instant"
             signals[name] = dataclasses.replace(signals["disturbance_force"], meaning=meaning)
-    coords = {
-        "time": ("time", log.time, "control sample t_k", "s"),
-        "coordinate": ("coordinate", coordinates.names),
-        "position_name": ("position_name", coordinates.position_names),
-        "axis": ("axis", ["x", "y", "z"]),
-        "group": ("coordinate", coordinates.group_of),
-        "unit": ("coordinate", coordinates.units),
-    }
-    if coordinates.undriven:
-        coords["driven"] = ("coordinate", coordinates.is_driven)
-    table = Table(
-        attrs={
-            "title": scenario.description,
-            "controller": scenario.controller,
-            "sample_time": scenario.sample_time,
-            "random_seed": scenario.random_seed,
-        },
-    ).assign(
+    table = log.table.assign(
         {
             name: (signal.dims, values[name], signal.meaning, signal.unit)
             for name, signal in signals.items()
         },
-        coords,
+        {},
     )
-    if log.frame_error is not None:
-        table = _with_frame(table, log, log.frame_error)
     if log.grasp is not None:
         table = _with_phases(table, log.grasp, log.scenario, model, states)
     for part in log.parts.values():
@@ -143,21 +124,6 @@ def _with_roles(table: Table, log: RunLog) -> Table:
         columns["angular_momentum"] = alone._replace(values=alone.values + stored)
     attrs = {**table.attrs, **{k: v for k, v in roles.items() if v}}
     return dataclasses.replace(table, attrs=attrs, columns=columns)
-
-
-def _with_frame(table: Table, log: RunLog, error: np.ndarray) -> Table:
-    """Return the table with the pose error of the frame that has a reference."""
-    meaning = "true pose error of the frame (rotation vector, position; world)"
-    along = "frame_coordinate"
-    return table.assign(
-        {"frame_error": (("time", along), error, meaning, "rad, m")},
-        {
-            along: (along, FRAME_COORDINATES),
-            "frame_unit": (along, FRAME_UNITS),
-            "frame_prescribed": (along, frame_rows(log.scenario)),
-            "frame_tracked": (along, log.frame_tracked),
-        },
-    )
 
 
 def _momentum_and_energy(model: PlantModel, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,8 +10,16 @@ import numpy as np
 
 from ffsm_drake.runs.ending import Ending, Outcome, ending_of
 from ffsm_drake.runs.engine import DRAKE
-from ffsm_drake.runs.metrics import Tracking, tracking_metrics
-from ffsm_drake.runs.tracking import Tracked, frame_error, frame_rows, tracked
+from ffsm_drake.runs.metrics import Tracking, tracking_metrics, tracking_of
+from ffsm_drake.runs.table import Given, Table
+from ffsm_drake.runs.tracking import (
+    FRAME_COORDINATES,
+    FRAME_UNITS,
+    Tracked,
+    frame_error,
+    frame_rows,
+    tracked_of,
+)
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, position_errors
 from ffsm_drake.spacecraft.grasp import Contact
@@ -159,24 +167,49 @@ class RunLog:
         q_d = self.split.whole_positions(self.series["desired_state"][:, :num_positions])
         return frame_error(self.scenario, model, q, q_d=q_d, desired=desired)
 
-    @property
-    def frame_tracked(self) -> np.ndarray:
-        """Mask (6) of the entries of ``frame_error`` that the controller tracks."""
-        return frame_rows(self.scenario) & self.tracks_frame
+    @functools.cached_property
+    def table(self) -> Table:
+        """Errors, control forces and positions, as metrics and endings read them."""
+        scenario, coordinates = self.scenario, self.coordinates
+        along, frame = ("time", "coordinate"), "frame_coordinate"
+        positions = self.series["state"][:, : len(coordinates.position_names)]
+        columns: dict[str, Given] = {
+            "position": (("time", "position_name"), positions),
+            "error": (along, self.error),
+            "generalized_force": (along, self.generalized_force),
+        }
+        coords: dict[str, Given] = {
+            "time": ("time", self.time, "control sample t_k", "s"),
+            "coordinate": ("coordinate", coordinates.names),
+            "position_name": ("position_name", coordinates.position_names),
+            "axis": ("axis", ["x", "y", "z"]),
+            "group": ("coordinate", coordinates.group_of),
+            "unit": ("coordinate", coordinates.units),
+        }
+        if coordinates.undriven:
+            coords["driven"] = ("coordinate", coordinates.is_driven)
+        if self.frame_error is not None:
+            meaning = "true pose error of the frame (rotation vector, position; world)"
+            columns["frame_error"] = (("time", frame), self.frame_error, meaning, "rad, m")
+            prescribed = frame_rows(scenario)
+            coords |= {
+                frame: (frame, FRAME_COORDINATES),
+                "frame_unit": (frame, FRAME_UNITS),
+                "frame_prescribed": (frame, prescribed),
+                "frame_tracked": (frame, prescribed & self.tracks_frame),
+            }
+        attrs = {
+            "title": scenario.description,
+            "controller": scenario.controller,
+            "sample_time": scenario.sample_time,
+            "random_seed": scenario.random_seed,
+        }
+        return Table(attrs=attrs).assign(columns, coords)
 
     @functools.cached_property
     def tracked(self) -> Tracked:
         """The errors of the tracked coordinates and of a tracked frame."""
-        coordinates = self.coordinates
-        return tracked(
-            error=self.error,
-            names=coordinates.names,
-            groups=coordinates.group_of,
-            units=coordinates.units,
-            driven=coordinates.is_driven,
-            frame=self.frame_error,
-            rows=self.frame_tracked,
-        )
+        return tracked_of(self.table)
 
     @functools.cached_property
     def ending(self) -> Ending:
@@ -188,15 +221,7 @@ class RunLog:
     @functools.cached_property
     def tracking(self) -> Tracking:
         """Errors and efforts, for the ``METRICS`` of ``ffsm_drake.runs.metrics``."""
-        return Tracking(
-            time=self.time,
-            error=self.error,
-            effort=self.generalized_force,
-            period=self.scenario.sample_time,
-            group=self.coordinates.group_of,
-            unit=self.coordinates.units,
-            tracked=self.tracked,
-        )
+        return tracking_of(self.table)
 
     @property
     def metrics(self) -> dict[str, Any]:

@@ -7,14 +7,14 @@ over [t_k, t_{k+1}).
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from ffsm_drake.common.numbers import usable
 from ffsm_drake.runs.table import driven_of, held_force, with_role
-from ffsm_drake.runs.tracking import Tracked, frame_metrics, largest_and_final, tracked_of
+from ffsm_drake.runs.tracking import Tracked, tracked_of
 from ffsm_drake.spacecraft.coordinates import GROUPS, NUM_BASE_POSITIONS, position_errors
 from ffsm_drake.systems.part import INTERNAL_TORQUE, Metric
 
@@ -47,8 +47,7 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
       drift: for a run with undriven coordinates, the metrics of
         ``drift_metrics``.
       frame: for a run with a reference for the pose of a frame, the metrics of
-        ``tracking.frame_metrics``, and if the controller tracks the frame
-        ``smallest_singular_value``, the smallest value of the run.
+        ``frame_figures``.
     """
     tracking = tracking_metrics(tracking_of(dataset))
     phases = phases_of(dataset)
@@ -73,36 +72,42 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
 
 
 def frame_figures(dataset: "Labelled") -> dict[str, Any]:
-    """``frame_metrics`` of a run's dataset and its smallest singular value; empty if no frame
+    """``largest`` and ``final`` size of a frame's pose error, of the prescribed parts ``rotation``
+    (angle, rad) and ``position`` (m), and its smallest singular value, if known; empty if no frame
     has a reference.
     """
     if "frame_error" not in dataset or not dataset.sizes["time"]:
         return {}
-    figures: dict[str, Any] = {
-        **frame_metrics(dataset["frame_error"].values, dataset["frame_prescribed"].values)
-    }
+    error, prescribed = dataset["frame_error"].values, dataset["frame_prescribed"].values
+    parts = {"rotation": slice(0, 3), "position": slice(3, 6)}
+    figures: dict[str, Any] = _largest_and_final({
+        name: error[:, part] for name, part in parts.items() if prescribed[part].any()
+    })  # fmt: skip
     if "smallest_singular_value" in dataset:
         figures["smallest_singular_value"] = float(dataset["smallest_singular_value"].values.min())
     return figures
 
 
 def drift_metrics(dataset: "Labelled") -> dict[str, dict[str, float]]:
-    """``base_drift`` of a run's dataset; empty if everything is driven."""
-    undriven = dict.fromkeys(dataset["group"].values[~driven_of(dataset)].astype(str).tolist())
-    known = undriven and "position" in dataset and dataset.sizes["time"]
-    return base_drift(dataset["position"].values, tuple(undriven)) if known else {}
-
-
-def base_drift(positions: np.ndarray, undriven: Sequence[str]) -> dict[str, dict[str, float]]:
-    """Drift of the base in configurations (n, nq): ``largest`` and ``final`` distance from its
-    start.
-
-    For each group of ``undriven``: an angle, rad, or a distance, m.
+    """Drift of the base: ``largest`` and ``final`` distance from its start, for each undriven group
+    an angle, rad, or a distance, m; empty if everything is driven.
     """
-    base = positions[:, :NUM_BASE_POSITIONS]
+    undriven = {*dataset["group"].values[~driven_of(dataset)].astype(str).tolist()}
+    if not undriven or "position" not in dataset or not dataset.sizes["time"]:
+        return {}
+    base = dataset["position"].values[:, :NUM_BASE_POSITIONS]
     moved = position_errors(base, np.broadcast_to(base[0], base.shape))
     parts = {"base_rotation": moved[:, :3], "base_position": moved[:, 3:]}
-    return largest_and_final({name: part for name, part in parts.items() if name in undriven})
+    return _largest_and_final({name: part for name, part in parts.items() if name in undriven})
+
+
+def _largest_and_final(parts: Mapping[str, np.ndarray]) -> dict[str, dict[str, float]]:
+    """``largest`` and ``final`` norm of vectors (n, 3), by name."""
+    sizes = {name: np.linalg.norm(part, axis=1) for name, part in parts.items()}
+    return {
+        "largest": {name: float(size.max()) for name, size in sizes.items()},
+        "final": {name: float(size[-1]) for name, size in sizes.items()},
+    }
 
 
 def phases_of(dataset: _Some) -> dict[str, _Some]:

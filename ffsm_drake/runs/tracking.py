@@ -1,7 +1,6 @@
 """Tracked errors of a run, and the pose error of a frame."""
 
 import dataclasses
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,77 +78,23 @@ def frame_poses(model: PlantModel, q: np.ndarray, frame: Frame) -> np.ndarray:
     return result
 
 
-def tracked(
-    *,
-    error: np.ndarray,
-    names: tuple[str, ...],
-    groups: tuple[str, ...],
-    units: tuple[str, ...],
-    driven: np.ndarray,
-    frame: np.ndarray | None,
-    rows: np.ndarray,
-) -> Tracked:
-    """Return tracked errors: driven coordinates; a tracked frame replaces the joints.
-
-    Args:
-      error: e of all coordinates (n, nv).
-      names, groups, units: of each.
-      driven: which are driven (nv).
-      frame: the frame's pose error (n, 6); None: there is none.
-      rows: mask of its tracked entries (6); none where the controller tracks coordinates.
+def tracked_of(dataset: "Labelled") -> Tracked:
+    """Return tracked errors of a run's time series: driven coordinates; a tracked frame replaces
+    the joints.
     """
-    counted = driven.copy()
-    if frame is None or not rows.any():
-        rows, frame = np.zeros(6, dtype=bool), np.zeros((len(error), 6))
-    else:
-        counted &= np.array([group != "joints" for group in groups])
+    error, counted = dataset["error"].values, driven_of(dataset)
+    frame, rows = np.empty((len(error), 6)), np.zeros(6, dtype=bool)
+    if "frame_error" in dataset:
+        frame, rows = dataset["frame_error"].values, dataset["frame_tracked"].values.astype(bool)
+    if rows.any():
+        counted = counted & (dataset["group"].values.astype(str) != "joints")
 
-    def of(coordinates: tuple[str, ...], others: tuple[str, ...]) -> tuple[str, ...]:
-        return tuple(
-            str(each) for each in (*np.array(coordinates)[counted], *np.array(others)[rows])
-        )
+    def of(name: str, others: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(map(str, [*dataset[name].values[counted], *np.array(others)[rows]]))
 
     return Tracked(
         error=np.hstack([error[:, counted], frame[:, rows]]) if rows.any() else error[:, counted],
-        names=of(names, FRAME_COORDINATES),
-        groups=of(groups, _FRAME_GROUPS),
-        units=of(units, FRAME_UNITS),
+        names=of("coordinate", FRAME_COORDINATES),
+        groups=of("group", _FRAME_GROUPS),
+        units=of("unit", FRAME_UNITS),
     )
-
-
-def tracked_of(dataset: "Labelled") -> Tracked:
-    """Return tracked errors of a recorded run."""
-    has_frame = "frame_error" in dataset
-    names, groups, units = (
-        tuple(map(str, dataset[name].values)) for name in ("coordinate", "group", "unit")
-    )
-    return tracked(
-        error=dataset["error"].values,
-        names=names,
-        groups=groups,
-        units=units,
-        driven=driven_of(dataset),
-        frame=dataset["frame_error"].values if has_frame else None,
-        rows=dataset["frame_tracked"].values.astype(bool) if has_frame else np.zeros(6, dtype=bool),
-    )
-
-
-def frame_metrics(error: np.ndarray, rows: np.ndarray) -> dict[str, dict[str, float]]:
-    """``largest`` and ``final`` size of a frame's pose error (n, 6): ``rotation`` (angle, rad),
-    ``position`` (m).
-
-    Only of the prescribed entries, ``rows`` (6).
-    """
-    parts = {"rotation": slice(0, 3), "position": slice(3, 6)}
-    return largest_and_final(
-        {name: error[:, part] for name, part in parts.items() if rows[part].any()}
-    )
-
-
-def largest_and_final(parts: Mapping[str, np.ndarray]) -> dict[str, dict[str, float]]:
-    """``largest`` and ``final`` norm of vectors (n, 3), by name."""
-    sizes = {name: np.linalg.norm(part, axis=1) for name, part in parts.items()}
-    return {
-        "largest": {name: float(size.max()) for name, size in sizes.items()},
-        "final": {name: float(size[-1]) for name, size in sizes.items()},
-    }

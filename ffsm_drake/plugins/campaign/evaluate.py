@@ -32,9 +32,8 @@ from ffsm_drake.runs.engine import DRAKE
 from ffsm_drake.runs.limits import CLEARANCE, distances_in, limits_left, not_measured
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import METRICS as RUN_METRICS
-from ffsm_drake.runs.metrics import base_drift
+from ffsm_drake.runs.metrics import drift_metrics, frame_figures
 from ffsm_drake.runs.record import software_versions
-from ffsm_drake.runs.tracking import frame_metrics, frame_rows
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.clearance import in_words
 from ffsm_drake.systems.part import Metric, Part
@@ -127,13 +126,11 @@ class Judged:
 
     def frame(self, moment: str, part: str) -> float | None:
         """``largest`` or ``final`` error of the frame."""
-        error = self.log.frame_error
-        sizes = None if error is None else frame_metrics(error, frame_rows(self.log.scenario))
-        return None if sizes is None else sizes[moment][part]
+        return frame_figures(self.log.table).get(moment, {}).get(part)
 
     def drift(self, group: str) -> float:
         """Final drift of the undriven base."""
-        return base_drift(self.log.series["state"], (group,))["final"][group]
+        return drift_metrics(self.log.table)["final"][group]
 
 
 _SETTLED = Metric(
