@@ -10,7 +10,7 @@ import numpy as np
 
 from ffsm_drake.runs.ending import Ending, Outcome, ending_of
 from ffsm_drake.runs.engine import DRAKE
-from ffsm_drake.runs.metrics import Tracking, tracking_metrics, tracking_of
+from ffsm_drake.runs.metrics import tracking_metrics
 from ffsm_drake.runs.table import Given, Table
 from ffsm_drake.runs.tracking import (
     FRAME_COORDINATES,
@@ -218,12 +218,7 @@ class RunLog:
         """
         return ending_of(self.outcome, self.scenario, self.time, lambda: self.tracked, self)
 
-    @functools.cached_property
-    def tracking(self) -> Tracking:
-        """Errors and efforts, for the ``METRICS`` of ``ffsm_drake.runs.metrics``."""
-        return tracking_of(self.table)
-
     @property
     def metrics(self) -> dict[str, Any]:
         """Metrics, with the keys of ``ffsm_drake.runs.metrics.tracking_metrics``."""
-        return tracking_metrics(self.tracking)
+        return tracking_metrics(self.table)

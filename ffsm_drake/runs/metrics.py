@@ -4,7 +4,6 @@ Sums run over the control samples t_k = k L that begin a recorded period, with t
 over [t_k, t_{k+1}).
 """
 
-import dataclasses
 import functools
 import math
 from collections.abc import Mapping, Sequence
@@ -14,7 +13,7 @@ import numpy as np
 
 from ffsm_drake.common.numbers import usable
 from ffsm_drake.runs.table import driven_of, held_force, with_role
-from ffsm_drake.runs.tracking import Tracked, tracked_of
+from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.spacecraft.coordinates import GROUPS, NUM_BASE_POSITIONS, position_errors
 from ffsm_drake.systems.part import INTERNAL_TORQUE, Metric
 
@@ -49,7 +48,7 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
       frame: for a run with a reference for the pose of a frame, the metrics of
         ``frame_figures``.
     """
-    tracking = tracking_metrics(tracking_of(dataset))
+    tracking = tracking_metrics(dataset)
     phases = phases_of(dataset)
     residuals = [momentum_residual(part) for part in phases.values()] or [
         momentum_residual(dataset)
@@ -59,9 +58,7 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
         for name in residuals[0]
     }
     if phases:
-        tracking["phases"] = {
-            name: tracking_metrics(tracking_of(part)) for name, part in phases.items()
-        }
+        tracking["phases"] = {name: tracking_metrics(part) for name, part in phases.items()}
     for name, figures in (
         ("drift", drift_metrics(dataset)),
         ("frame", frame_figures(dataset)),
@@ -122,48 +119,39 @@ def phases_of(dataset: _Some) -> dict[str, _Some]:
     return {str(name): part(name) for name in dict.fromkeys(phase)}
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class Tracking:
-    """Errors and efforts of a run at its control samples, as ``METRICS`` read them."""
-
-    time: np.ndarray  # (n,), s
-    error: np.ndarray  # tracking error at each (n, nv), rad or m
-    effort: np.ndarray  # tau held from each to the next (n, nv), N m or N
-    period: float  # s
-    group: Sequence[str]  # group of each coordinate (nv)
-    unit: Sequence[str]  # its unit, rad or m
-    tracked: Tracked  # errors that count
-
-    def sizes(self, figure: str) -> np.ndarray:
-        """``peak_error``, ``final_error`` or ``peak_effort`` of each coordinate (nv); for an
-        undriven group, and for joints controlled through a frame, the error is the distance from
-        their motion with the nominal payload.
-        """
-        return self._sizes[figure]
-
-    @functools.cached_property
-    def _sizes(self) -> dict[str, np.ndarray]:
-        return {
-            "peak_error": np.abs(self.error).max(axis=0),
-            "final_error": np.abs(self.error[-1]),
-            "peak_effort": np.abs(self.effort).max(axis=0),
-        }
+def _sizes(figure: str, data: "Labelled") -> np.ndarray:
+    """Return ``peak_error``, ``final_error`` or ``peak_effort`` of each coordinate (nv); for an
+    undriven group, and for joints controlled through a frame, the error is the distance from
+    their motion with the nominal payload.
+    """
+    sizes = np.abs(data["generalized_force" if figure == "peak_effort" else "error"].values)
+    found: np.ndarray = sizes[-1] if figure == "final_error" else sizes.max(axis=0)
+    return found
 
 
-def _of_group(figure: str, group: str, run: Tracking, unit: str = "") -> float | None:
-    members = [
-        i
-        for i, (own, its) in enumerate(zip(run.group, run.unit, strict=True))
-        if own == group and unit in ("", its)
-    ]
-    return float(run.sizes(figure)[members].max()) if members else None
+def _of_group(figure: str, group: str, data: "Labelled", unit: str = "") -> float | None:
+    members = data["group"].values.astype(str) == group
+    if unit:
+        members &= data["unit"].values.astype(str) == unit
+    return float(_sizes(figure, data)[members].max()) if members.any() else None
 
 
-def _of_unit(figure: str, unit: str, run: Tracking) -> float:
+def _of_unit(figure: str, unit: str, data: "Labelled") -> float:
     """Return the largest tracked error in a unit; NaN if there is none."""
-    error = np.abs(run.tracked.error[:, [each == unit for each in run.tracked.units]])
+    tracked = tracked_of(data)
+    error = np.abs(tracked.error[:, [each == unit for each in tracked.units]])
     error = error[-1] if figure == "final_error" else error
     return float(error.max()) if error.size else math.nan
+
+
+def _itae(data: "Labelled") -> float:
+    time = data["time"].values
+    error = tracked_of(data).error
+    return itae(time[:-1] - time[0], error[:-1], float(data.attrs["sample_time"]))
+
+
+def _isv(data: "Labelled") -> float:
+    return isv(data["generalized_force"].values[:-1], float(data.attrs["sample_time"]))
 
 
 # Figure -> headings on a campaign's page, with units, by group.
@@ -182,11 +170,11 @@ _in_table = functools.partial(Metric, key="", column="")
 METRICS = (
     Metric(
         key="itae", unit="1", label="ITAE", heading="ITAE",
-        of=lambda run: itae(run.time[:-1], run.tracked.error[:-1], run.period),
+        of=_itae,
     ),
     Metric(
         key="isv", unit="1", label="ISV", heading="ISV",
-        of=lambda run: isv(run.effort[:-1], run.period),
+        of=_isv,
     ),
     *(
         Metric(
@@ -218,8 +206,9 @@ METRICS = (
 )  # fmt: skip
 
 
-def tracking_metrics(run: Tracking) -> dict[str, Any]:
-    """Accuracy and effort of a run, as plain numbers: its METRICS by key.
+def tracking_metrics(data: "Labelled") -> dict[str, Any]:
+    """Accuracy and effort of a run's time series, or of a part of them, as plain numbers: its
+    METRICS by key.
 
     Keys:
       itae: sum of t |e|_1 L (equation (22)), with the tracked errors e.
@@ -230,25 +219,11 @@ def tracking_metrics(run: Tracking) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for metric in METRICS:
         name, _, group = metric.key.partition(".")
-        if group and (value := metric.of(run)) is not None:
+        if group and (value := metric.of(data)) is not None:
             found.setdefault(name, {})[group] = value
         elif name and not group:
-            found[name] = metric.of(run)
+            found[name] = metric.of(data)
     return found
-
-
-def tracking_of(dataset: "Labelled") -> Tracking:
-    """Errors and efforts of a run's dataset, or of a part of it."""
-    time = dataset["time"].values
-    return Tracking(
-        time=time - time[0],
-        error=dataset["error"].values,
-        effort=dataset["generalized_force"].values,
-        period=float(dataset.attrs["sample_time"]),
-        group=dataset["group"].values.tolist(),
-        unit=dataset["unit"].values.tolist(),
-        tracked=tracked_of(dataset),
-    )
 
 
 def itae(time: np.ndarray, error: np.ndarray, period: float) -> float:

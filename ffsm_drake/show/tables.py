@@ -7,7 +7,7 @@ from typing import Any
 
 from ffsm_drake.common.numbers import NONE
 from ffsm_drake.common.plugins import SERVICES, optional
-from ffsm_drake.runs.metrics import METRICS, tracking_of
+from ffsm_drake.runs.metrics import METRICS
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import controller_key
 from ffsm_drake.show.table_files import Column
@@ -34,14 +34,13 @@ def results_columns(
     records: Sequence[RunRecord], distances: Sequence[float] | None = None
 ) -> list[Column]:
     """Return the figures of merit, a row for each run; ``distances`` to the LQG limit, if known."""
-    runs = [tracking_of(record.dataset) for record in records]
     columns = [
         Column(name="controller", cells=[record.scenario.controller for record in records]),
         *(
             Column(
                 name=metric.label,
                 unit=metric.shown_unit,
-                cells=[metric.of(run) for run in runs],
+                cells=[metric.of(record.dataset) for record in records],
                 digits=_DIGITS.get(metric.key, 3),
             )
             for metric in METRICS

@@ -180,7 +180,7 @@ class Metric(_Named):
       'coils_force'
     """
 
-    of: Callable[[Any], Any]  # reads a View; the core's own read a ``Tracking``
+    of: Callable[[Any], Any]  # reads a View; the core's own read labelled time series
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,6 @@ from ffsm_drake import load_scenario, make_closed_loop
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.metrics import (
     METRICS,
-    Tracking,
     compute_metrics,
     isv,
     itae,
@@ -16,7 +15,6 @@ from ffsm_drake.runs.metrics import (
 )
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.table import Table
-from ffsm_drake.runs.tracking import Tracked
 
 PERIOD, DURATION = 0.01, 20.0
 TIME = PERIOD * np.arange(2000)
@@ -138,12 +136,16 @@ def test_every_effort_in_the_table_has_its_unit(units):
     draw = np.random.default_rng(len(units))
     names = ("rad",) * 3 + ("m",) * 3 + units
     effort = draw.normal(size=(5, len(names)))
-    tracked = Tracked(error=effort, names=names, groups=names, units=names)
     group = ("base_rotation",) * 3 + ("base_position",) * 3 + ("joints",) * len(units)
-    run = Tracking(
-        time=np.arange(5.0), error=effort, effort=effort, period=1.0, group=group, unit=names,
-        tracked=tracked,
-    )  # fmt: skip
+    along = ("time", "coordinate")
+    run = Table().assign(
+        {"error": (along, effort), "generalized_force": (along, effort)},
+        {
+            "coordinate": ("coordinate", names),
+            "group": ("coordinate", group),
+            "unit": ("coordinate", names),
+        },
+    )
     shown = {each.unit: each.of(run) for each in METRICS if each.unit[:1] in ("b", "j")}
     for whose, part in (("base", slice(0, 6)), ("joints", slice(6, None))):
         for unit, what in (("rad", "N m"), ("m", "N")):

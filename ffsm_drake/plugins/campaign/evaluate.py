@@ -385,7 +385,7 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
             outcome, message = "not_settled", run.unsettled
         if log.ending.status == GROWING:
             outcome, message = "growing", log.ending.sentence
-    values = {each.column_name: each.of(log.tracking) for each in RUN_METRICS if each.column_name}
+    values = {each.column_name: each.of(log.table) for each in RUN_METRICS if each.column_name}
     for metric in (_SETTLED, *itertools.chain(*_judged(spec))):
         values[metric.column_name] = metric.of(run)
     text = {"outcome": outcome, "message": message}
