@@ -119,21 +119,28 @@ def phases_of(dataset: _Some) -> dict[str, _Some]:
     return {str(name): part(name) for name in dict.fromkeys(phase)}
 
 
-def _sizes(figure: str, data: "Labelled") -> np.ndarray:
-    """Return ``peak_error``, ``final_error`` or ``peak_effort`` of each coordinate (nv); for an
-    undriven group, and for joints controlled through a frame, the error is the distance from
+# Largest or final size -> variable.
+_VARIABLES = {
+    "peak_error": "error",
+    "final_error": "error",
+    "peak_effort": "generalized_force",
+    "peak_applied": "applied_force",
+}
+
+
+def of_group(figure: str, group: str, data: "Labelled", unit: str = "") -> float | None:
+    """Return the largest ``peak_error``, ``final_error``, ``peak_effort`` (commanded) or
+    ``peak_applied`` of a group's coordinates, or of those with a unit; None if there are none.
+
+    For an undriven group, and for joints controlled through a frame, the error is the distance from
     their motion with the nominal payload.
     """
-    sizes = np.abs(data["generalized_force" if figure == "peak_effort" else "error"].values)
-    found: np.ndarray = sizes[-1] if figure == "final_error" else sizes.max(axis=0)
-    return found
-
-
-def _of_group(figure: str, group: str, data: "Labelled", unit: str = "") -> float | None:
     members = data["group"].values.astype(str) == group
     if unit:
         members &= data["unit"].values.astype(str) == unit
-    return float(_sizes(figure, data)[members].max()) if members.any() else None
+    sizes = np.abs(data[_VARIABLES[figure]].values[:, members])
+    sizes = sizes[-1] if figure == "final_error" else sizes
+    return float(sizes.max()) if members.any() else None
 
 
 def _of_unit(figure: str, unit: str, data: "Labelled") -> float:
@@ -144,13 +151,15 @@ def _of_unit(figure: str, unit: str, data: "Labelled") -> float:
     return float(error.max()) if error.size else math.nan
 
 
-def _itae(data: "Labelled") -> float:
+def itae_of(data: "Labelled") -> float:
+    """Return ``itae`` of the tracked errors of a run's time series."""
     time = data["time"].values
     error = tracked_of(data).error
     return itae(time[:-1] - time[0], error[:-1], float(data.attrs["sample_time"]))
 
 
-def _isv(data: "Labelled") -> float:
+def isv_of(data: "Labelled") -> float:
+    """Return ``isv`` of a run's time series."""
     return isv(data["generalized_force"].values[:-1], float(data.attrs["sample_time"]))
 
 
@@ -170,16 +179,16 @@ _in_table = functools.partial(Metric, key="", column="")
 METRICS = (
     Metric(
         key="itae", unit="1", label="ITAE", heading="ITAE",
-        of=_itae,
+        of=itae_of,
     ),
     Metric(
         key="isv", unit="1", label="ISV", heading="ISV",
-        of=_isv,
+        of=isv_of,
     ),
     *(
         Metric(
             key=f"{figure}.{group}", unit="", label="", heading=heading,
-            of=functools.partial(_of_group, figure, group),
+            of=functools.partial(of_group, figure, group),
         )
         for figure, headings in _HEADINGS.items()
         for group, heading in zip(GROUPS, headings, strict=True)
@@ -194,7 +203,7 @@ METRICS = (
     *(
         _in_table(
             label=label, unit=shown,
-            of=functools.partial(_of_group, "peak_effort", group, unit=unit),
+            of=functools.partial(of_group, "peak_effort", group, unit=unit),
         )
         for label, shown, group, unit in (
             ("peak force", "base, N", "base_position", "m"),

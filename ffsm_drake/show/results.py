@@ -3,17 +3,20 @@
 import dataclasses
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from typing import ParamSpec, TypeVar
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 import numpy as np
 
 from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, NOT_CAPTURED
-from ffsm_drake.runs.metrics import isv, itae
+from ffsm_drake.runs.metrics import isv_of, itae_of
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.style import Style, labels_of, styles_of
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -34,13 +37,38 @@ class Result:
     record: RunRecord
     label: str
     style: Style
-    status: str  # status in ``Ending``
-    verdict: str  # one sentence
-    itae: float
-    isv: float
-    # group and unit ("rad" or "m") of some coordinates -> their largest values: peak_error,
-    # final_error, peak_effort (N m or N, commanded), peak_applied (by the actuators)
-    magnitudes: Mapping[tuple[str, str], Mapping[str, float]]
+
+    @property
+    def status(self) -> str:
+        """Status in ``Ending``."""
+        return self.record.ending.status
+
+    @property
+    def verdict(self) -> str:
+        """The ending in one sentence."""
+        return self.record.ending.sentence
+
+    def figure(self, of: Callable[["xr.Dataset"], float | None]) -> float:
+        """Return a figure of the run's dataset; NaN if the record lacks what it needs."""
+        data, value = self.record.dataset, None
+        with suppress(KeyError):
+            value = of(data) if data.sizes.get("time", 0) else None
+        return math.nan if value is None else value
+
+    @property
+    def itae(self) -> float:
+        return self.figure(itae_of)
+
+    @property
+    def isv(self) -> float:
+        return self.figure(isv_of)
+
+    @property
+    def kinds(self) -> list[tuple[str, str]]:
+        """Group and unit ("rad" or "m") of each coordinate."""
+        data = self.record.dataset
+        groups, units = (data[name].values.astype(str).tolist() for name in ("group", "unit"))
+        return list(zip(groups, units, strict=True))
 
     @property
     def comparable(self) -> bool:
@@ -64,7 +92,10 @@ class Result:
 def results_of(records: Sequence[RunRecord]) -> list[Result]:
     """Return every run with a name and a colour of its own."""
     styles = styles_of([record.scenario.controller for record in records])
-    return [_result(*named) for named in zip(records, labels_of(records), styles, strict=True)]
+    return [
+        Result(record=record, label=label, style=style)
+        for record, label, style in zip(records, labels_of(records), styles, strict=True)
+    ]
 
 
 def ranking(results: Sequence[Result], figure: Callable[[Result], float]) -> list[Result]:
@@ -96,50 +127,6 @@ def values_of(record: RunRecord, name: str) -> np.ndarray | None:
         return None
     values: np.ndarray = record.dataset[name].values
     return values
-
-
-def _result(record: RunRecord, label: str, style: Style) -> Result:
-    period = record.scenario.sample_time
-    error, effort = values_of(record, "error"), values_of(record, "generalized_force")
-    accuracy = math.nan
-    if error is not None:
-        accuracy = itae(
-            record.dataset["time"].values[:-1], tracked_of(record.dataset).error[:-1], period
-        )
-    cost = math.nan if effort is None else isv(effort[:-1], period)
-    return Result(
-        record=record,
-        label=label,
-        style=style,
-        status=record.ending.status,
-        verdict=record.ending.sentence,
-        itae=accuracy,
-        isv=cost,
-        magnitudes=_magnitudes(record, error, effort),
-    )
-
-
-def _magnitudes(
-    record: RunRecord, error: np.ndarray | None, effort: np.ndarray | None
-) -> dict[tuple[str, str], dict[str, float]]:
-    groups, units = (record.dataset[name].values.astype(str) for name in ("group", "unit"))
-    found = {
-        "peak_error": error,
-        "final_error": None if error is None else error[-1],
-        "peak_effort": effort,
-        "peak_applied": values_of(record, "applied_force"),
-    }
-
-    def largest(values: np.ndarray | None, members: np.ndarray) -> float:
-        return math.nan if values is None else float(np.abs(values[..., members]).max())
-
-    return {
-        (group, unit): {
-            name: largest(values, (groups == group) & (units == unit))
-            for name, values in found.items()
-        }
-        for group, unit in dict.fromkeys(zip(groups.tolist(), units.tolist(), strict=True))
-    }
 
 
 def attempt(

@@ -15,7 +15,7 @@ from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.numbers import NONE, number, percent
 from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.runs.limits import run_clearance, saturation
-from ffsm_drake.runs.metrics import drift_metrics, frame_figures
+from ffsm_drake.runs.metrics import drift_metrics, frame_figures, of_group
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.results import Result, actuators_act, ranking
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES
@@ -98,7 +98,7 @@ def _row(
 
 def _magnitude_rows(results: Sequence[Result]) -> list[Row]:
     """Largest and final sizes by group and unit."""
-    kinds = list(dict.fromkeys(kind for result in results for kind in result.magnitudes))
+    kinds = list(dict.fromkeys(kind for result in results for kind in result.kinds))
     groups, rows = [group for group, _ in kinds], []
     untracked, act = _untracked(results), actuators_act(results)
     for (field, head), (group, unit) in itertools.product(_MAGNITUDES.items(), kinds):
@@ -109,7 +109,8 @@ def _magnitude_rows(results: Sequence[Result]) -> list[Row]:
             label += f", {'revolute' if unit == 'rad' else 'prismatic'}"
         if group in untracked and not is_force:
             label += ", not tracked"
-        sizes = (result.magnitudes.get((group, unit), {}).get(field) for result in results)
+        size = functools.partial(of_group, field, group, unit=unit)
+        sizes = (result.figure(size) for result in results)
         shown = EFFORT_UNITS.get(unit, unit) if is_force else unit
         rows.append(_row(label, sizes, shown, head=head))
     return rows
@@ -119,7 +120,7 @@ def _untracked(results: Sequence[Result]) -> set[str]:
     """Groups whose errors no run is judged by: nothing drives them, or a frame is tracked in their
     place.
     """
-    groups = {group for result in results for group, _ in result.magnitudes}
+    groups = {group for result in results for group, _ in result.kinds}
     for data in (result.record.dataset for result in results):
         if "error" in data:
             tracked = np.isin(data["coordinate"].values, tracked_of(data).names)
