@@ -11,6 +11,7 @@ from ffsm_drake.common.numbers import counted, usable
 from ffsm_drake.plugins.analysis.findings import NotApplicable
 from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.runs.table import Table
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
 from ffsm_drake.systems.controllers import gain_vectors
@@ -80,12 +81,12 @@ class Evidence:
         # sample at the slowest, which decays to 5 % within ten samples.
         self.start_up_time = max(0.1, 10.0 * self.period)
         self.after_start_up = self.time >= self.start_up_time - 1e-9
-        self.series: dict[str, tuple[tuple[str, ...], np.ndarray, dict[str, str]]] = {}
         self.attributes: dict[str, str | float] = {
             **record.dataset.attrs,
             "outcome": record.outcome.message,
             "start_up_time": self.start_up_time,
         }
+        self.table = Table(attrs=self.attributes)
         self.axes: dict[str, np.ndarray] = {"time": self.time, "period": self.time[:-1]}
 
     @property
@@ -123,11 +124,8 @@ class Evidence:
         """Add series, by their names in ``SERIES``."""
         for name, values in series.items():
             dims, units, meaning = SERIES[name]
-            self.series[name] = (
-                tuple(dims.split()),
-                values,
-                {"long_name": meaning, "units": units},
-            )
+            column = (tuple(dims.split()), values, meaning, units)
+            self.table = self.table.assign({name: column}, {})
 
     @functools.cached_property
     def inertia(self) -> np.ndarray:
@@ -190,20 +188,16 @@ class Evidence:
         return {f"{prefix}.{name}": float(values[part].max()) for name, part in self.groups.items()}
 
     def dataset(self) -> "xr.Dataset":
-        import xarray as xr
-
         coordinates = self.coordinates
-        return xr.Dataset(
-            self.series,
-            coords={
-                **{name: (name, values) for name, values in self.axes.items()},
-                "coordinate": list(coordinates.names),
-                "group": ("coordinate", list(coordinates.group_of)),
-                "unit": ("coordinate", list(coordinates.units)),
-                "driven": ("coordinate", coordinates.is_driven),
-            },
-            attrs=self.attributes,
-        )
+        coords = {name: (name, values) for name, values in self.axes.items()}
+        of_coordinates = {
+            "coordinate": coordinates.names,
+            "group": coordinates.group_of,
+            "unit": coordinates.units,
+            "driven": coordinates.is_driven,
+        }
+        coords |= {name: ("coordinate", values) for name, values in of_coordinates.items()}
+        return self.table.assign({}, coords).to_dataset()
 
 
 def mass_matrices(model: PlantModel, positions: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Reproduction of the paper's table and figures, with a verdict on each claim."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from ffsm_drake.common.errors import FfsmError
@@ -45,8 +46,7 @@ def reproduce(
 
     drawing = {
         "fig3": figures.write_figure_3,
-        "fig4": figures.write_figure_4,
-        "fig5": figures.write_figure_5,
+        **{key: partial(figures.write_overlaid, key=key) for key in ("fig4", "fig5")},
     }
     if what in drawing:
         shown = (runs.PROPOSED,) if what == "fig3" else runs.CONTROLLERS

@@ -2,7 +2,6 @@
 """The paper's Figures 2 to 5 redrawn, and two more. Each is written as PNG and SVG."""
 
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -88,39 +87,27 @@ def write_figure_3(results: Results, directory: Path) -> list[FigureFile]:
     return written
 
 
-def write_figure_4(results: Results, directory: Path) -> list[FigureFile]:
-    """Tracking errors of the four controllers."""
-    caption = (
+_OVERLAID = {
+    "fig4": (
+        plot_errors,
+        "Tracking errors",
         "Upper panels: true error e = q_d − q of every control sample, the roughest drawn first. "
-        "Lower panels: rms of "
-        "that error over one second, logarithmic, since the errors differ by orders of magnitude."
-    )
-    return _write_overlaid(results, directory, "fig4", "Tracking errors", plot_errors, caption)
-
-
-def write_figure_5(results: Results, directory: Path) -> list[FigureFile]:
-    """Control forces and torques of the four controllers."""
-    caption = (
+        "Lower panels: rms of that error over one second, logarithmic, since the errors differ by "
+        "orders of magnitude.",
+    ),
+    "fig5": (
+        plot_efforts,
+        "Control forces and torques",
         "Upper panels: force or torque held over every control period, the roughest drawn first. "
-        "Lower panels: rms "
-        "over one second of its change from one sample to the next, logarithmic: the "
-        "contribution of measurement noise and "
-        "switching term beside the motion's own force."
-    )
-    return _write_overlaid(
-        results, directory, "fig5", "Control forces and torques", plot_efforts, caption
-    )
+        "Lower panels: rms over one second of its change from one sample to the next, logarithmic: "
+        "the contribution of measurement noise and switching term beside the motion's own force.",
+    ),
+}
 
 
-def _write_overlaid(
-    results: Results,
-    directory: Path,
-    key: str,
-    title: str,
-    plot: Callable[[list[RunRecord]], Figure],
-    caption: str,
-) -> list[FigureFile]:
-    written = []
+def write_overlaid(results: Results, directory: Path, key: str) -> list[FigureFile]:
+    """Tracking errors (fig4), or control forces and torques (fig5), of the four controllers."""
+    (plot, title, caption), written = _OVERLAID[key], []
     for setting, words in DRAWN.items():
         figure = plot([results.record(setting, name) for name in CONTROLLERS])
         text = (

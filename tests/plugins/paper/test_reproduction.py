@@ -70,7 +70,7 @@ def written(results, verdicts, tmp_path_factory):
             figures.write_overview(rows, directory),
             figures.write_divergence(results, directory),
             figures.write_figure_2(directory),
-            *figures.write_figure_4(results, directory),
+            *figures.write_overlaid(results, directory, "fig4"),
         ]
     page.write_table(rows, results, directory)
     page.write_page(results, rows, drawn, verdicts, directory)
