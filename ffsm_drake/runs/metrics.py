@@ -14,7 +14,12 @@ import numpy as np
 from ffsm_drake.common.numbers import usable
 from ffsm_drake.runs.table import driven_of, held_force, with_role
 from ffsm_drake.runs.tracking import tracked_of
-from ffsm_drake.spacecraft.coordinates import GROUPS, NUM_BASE_POSITIONS, position_errors
+from ffsm_drake.spacecraft.coordinates import (
+    GROUPS,
+    NUM_BASE_POSITIONS,
+    NUM_BASE_VELOCITIES,
+    position_errors,
+)
 from ffsm_drake.systems.part import INTERNAL_TORQUE, Metric
 
 if TYPE_CHECKING:
@@ -261,18 +266,14 @@ def momentum_residual(dataset: "Labelled") -> dict[str, np.ndarray]:
     period = np.diff(dataset["time"].values)[:, None]
     if not period.size:
         return change
-    position = _of_base(dataset, "position", "position", along="position_name")
-    velocity = _of_base(dataset, "velocity", "position")
-    names = dataset["coordinate"].values.astype(str).tolist()
-    held, held_torque = (
-        held_force(dataset)[:-1, [names.index(f"base_{part}_{axis}") for axis in "xyz"]]
-        for part in ("position", "rotation")
+    position = dataset["position"].values[:, 4:NUM_BASE_POSITIONS]
+    velocity = dataset["velocity"].values[:, 3:NUM_BASE_VELOCITIES]
+    (held_torque, held), (smooth_torque, smooth) = (
+        np.split(force[:, :NUM_BASE_VELOCITIES], 2, axis=1)
+        for force in (held_force(dataset)[:-1], dataset["disturbance_force"].values)
     )
     for name in with_role(dataset, INTERNAL_TORQUE):  # which is not external
         held_torque = held_torque - dataset[name].values[:-1]
-    smooth, smooth_torque = (
-        _of_base(dataset, "disturbance_force", part) for part in ("position", "rotation")
-    )
     path = _integrals(position, velocity, period)
     return {
         "linear": change["linear"] - _impulse(held * period, smooth, period),
@@ -290,13 +291,6 @@ def _usable_start(dataset: "Labelled", names: Sequence[str]) -> "Labelled":
     good = np.logical_and.reduce([usable(dataset[name].values) for name in names])
     count = good.size if good.all() else max(1, int(np.argmin(good)))
     return dataset.isel(time=slice(0, count))
-
-
-def _of_base(dataset: "Labelled", name: str, part: str, *, along: str = "coordinate") -> np.ndarray:
-    """Return a variable of the base's rotation or position (n, 3)."""
-    names = dataset[along].values.astype(str).tolist()
-    values: np.ndarray = dataset[name].values
-    return values[:, [names.index(f"base_{part}_{axis}") for axis in "xyz"]]
 
 
 def _impulse(held: np.ndarray, smooth: np.ndarray, period: np.ndarray) -> np.ndarray:

@@ -113,7 +113,7 @@ def test_impulse_of_a_smooth_force(rate):
     along = ("time", "coordinate")
     table = Table().assign(
         {
-            "position": (("time", "position_name"), path),
+            "position": (("time", "position_name"), np.hstack([np.zeros((500, 4)), path])),
             "velocity": (along, velocity),
             "applied_force": (along, held),
             "disturbance_force": (along, force),
@@ -123,7 +123,7 @@ def test_impulse_of_a_smooth_force(rate):
         {
             "time": ("time", time),
             "coordinate": ("coordinate", names),
-            "position_name": ("position_name", names[3:]),
+            "position_name": ("position_name", ["w", *names]),
         },
     )
     for residual in momentum_residual(table).values():

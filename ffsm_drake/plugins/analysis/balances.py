@@ -10,8 +10,7 @@ from ffsm_drake.plugins.analysis.findings import Evaluated, NotApplicable
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.runs.table import held_force, with_role
 from ffsm_drake.spacecraft.coordinates import (
-    BASE_POSITION,
-    BASE_ROTATION,
+    NUM_BASE_POSITIONS,
     NUM_BASE_VELOCITIES,
     position_errors,
 )
@@ -93,13 +92,11 @@ def absolute_impulse(dataset: "xr.Dataset") -> dict[str, float]:
     The scale for a momentum residual, N s and N m s.
     """
     period = float(dataset.attrs["sample_time"])
-    total = dataset["disturbance_force"] + held_force(dataset)
-    force, torque = (
-        total.sel(coordinate=list(names)).values for names in (BASE_POSITION, BASE_ROTATION)
-    )
+    total = dataset["disturbance_force"].values + held_force(dataset)
+    torque, force = np.split(total[:, :NUM_BASE_VELOCITIES], 2, axis=1)
     for name in with_role(dataset, INTERNAL_TORQUE):  # which is not external
         torque = torque - dataset[name].values
-    arm = dataset["position"].sel(position_name=list(BASE_POSITION)).values
+    arm = dataset["position"].values[:, 4:NUM_BASE_POSITIONS]
     impulses = {"linear": force, "angular": torque + np.cross(arm, force)}
     return {
         name: float(np.linalg.norm(values[:-1], axis=1).sum() * period)
