@@ -16,15 +16,16 @@ from ffsm_drake.runs.tracking import (
     FRAME_COORDINATES,
     FRAME_UNITS,
     Tracked,
-    frame_error,
-    frame_rows,
+    frame_poses,
     tracked_of,
 )
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, position_errors
+from ffsm_drake.spacecraft.free_floating import TASK_ROWS
 from ffsm_drake.spacecraft.grasp import Contact
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.systems.controllers.law import ControlLaw
+from ffsm_drake.systems.frame_path import goal_frame
 from ffsm_drake.systems.part import (
     Figure,
     PartRecord,
@@ -156,8 +157,9 @@ class RunLog:
 
     @functools.cached_property
     def frame_error(self) -> np.ndarray | None:
-        """True pose error (n, 6; rotation vector, position; world) of the frame; None if no
-        frame has a reference.
+        """True pose error (n, 6), of FRAME_COORDINATES, of the frame in the scenario; NaN where the
+        state is not ``usable``. Its reference is a path or follows the coordinates' plan; None if
+        there is neither.
         """
         desired = self.series.get("desired_frame")
         if desired is None and not self.tracks_frame:
@@ -165,7 +167,9 @@ class RunLog:
         model, num_positions = self.model, len(self.coordinates.position_names)
         q = self.whole_states[:, : model.plant.num_positions()]
         q_d = self.split.whole_positions(self.series["desired_state"][:, :num_positions])
-        return frame_error(self.scenario, model, q, q_d=q_d, desired=desired)
+        frame = goal_frame(self.scenario, model.plant)
+        reference = frame_poses(model, q_d, frame) if desired is None else desired[:, :7]
+        return position_errors(reference, frame_poses(model, q, frame))
 
     @functools.cached_property
     def table(self) -> Table:
@@ -191,7 +195,10 @@ class RunLog:
         if self.frame_error is not None:
             meaning = "true pose error of the frame (rotation vector, position; world)"
             columns["frame_error"] = (("time", frame), self.frame_error, meaning, "rad, m")
-            prescribed = frame_rows(scenario)
+            goal, prescribed = scenario.reference.frame, np.zeros(6, dtype=bool)
+            # a frame that follows the coordinates' plan has a pose
+            task = "pose" if goal is None or goal.task == "none" else goal.task
+            prescribed[TASK_ROWS[task]] = True
             coords |= {
                 frame: (frame, FRAME_COORDINATES),
                 "frame_unit": (frame, FRAME_UNITS),

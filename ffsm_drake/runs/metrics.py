@@ -53,24 +53,19 @@ def compute_metrics(dataset: "Labelled") -> dict[str, Any]:
       frame: for a run with a reference for the pose of a frame, the metrics of
         ``frame_figures``.
     """
-    tracking = tracking_metrics(dataset)
     phases = phases_of(dataset)
-    residuals = [momentum_residual(part) for part in phases.values()] or [
-        momentum_residual(dataset)
-    ]
+    residuals = [momentum_residual(part) for part in phases.values() or [dataset]]
     sizes = {
         name: max(float(np.linalg.norm(residual[name], axis=1).max()) for residual in residuals)
         for name in residuals[0]
     }
-    if phases:
-        tracking["phases"] = {name: tracking_metrics(part) for name, part in phases.items()}
-    for name, figures in (
-        ("drift", drift_metrics(dataset)),
-        ("frame", frame_figures(dataset)),
-    ):
-        if figures:
-            tracking[name] = figures
-    return tracking | {"momentum_residual": sizes}
+    further = {
+        "phases": {name: tracking_metrics(part) for name, part in phases.items()},
+        "drift": drift_metrics(dataset),
+        "frame": frame_figures(dataset),
+    }
+    found = {name: figures for name, figures in further.items() if figures}
+    return tracking_metrics(dataset) | found | {"momentum_residual": sizes}
 
 
 def frame_figures(dataset: "Labelled") -> dict[str, Any]:

@@ -8,11 +8,8 @@ from pydrake.multibody.tree import Frame
 
 from ffsm_drake.common.numbers import usable
 from ffsm_drake.runs.table import driven_of
-from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, position_errors
-from ffsm_drake.spacecraft.free_floating import TASK_ROWS
+from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.systems.frame_path import goal_frame
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.table import Labelled
@@ -34,38 +31,6 @@ class Tracked:
     names: tuple[str, ...]
     groups: tuple[str, ...]
     units: tuple[str, ...]
-
-
-def frame_rows(scenario: Scenario) -> np.ndarray:
-    """Return the mask of the prescribed FRAME_COORDINATES (6); all for a frame that follows the
-    coordinates' plan.
-    """
-    goal, rows = scenario.reference.frame, np.zeros(6, dtype=bool)
-    rows[TASK_ROWS["pose" if goal is None or goal.task == "none" else goal.task]] = True
-    return rows
-
-
-def frame_error(
-    scenario: Scenario,
-    model: PlantModel,
-    q: np.ndarray,
-    *,
-    q_d: np.ndarray,
-    desired: np.ndarray | None,
-) -> np.ndarray:
-    """Return the pose error (n, 6) of the scenario's frame, of FRAME_COORDINATES; NaN if q is not
-    ``usable``.
-
-    Args:
-      scenario: gives the frame.
-      model: the true plant, flexible parts included.
-      q: its configurations (n, nq).
-      q_d: planned configurations (n, nq), which give the reference without a path.
-      desired: rows of the frame's path (n, 19); None: no path is prescribed.
-    """
-    frame = goal_frame(scenario, model.plant)
-    reference = frame_poses(model, q_d, frame) if desired is None else desired[:, :7]
-    return position_errors(reference, frame_poses(model, q, frame))
 
 
 def frame_poses(model: PlantModel, q: np.ndarray, frame: Frame) -> np.ndarray:

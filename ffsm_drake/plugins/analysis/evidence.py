@@ -11,7 +11,7 @@ from ffsm_drake.common.numbers import counted, usable
 from ffsm_drake.plugins.analysis.findings import NotApplicable
 from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.runs.table import Table
+from ffsm_drake.runs.table import Given, Table
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
 from ffsm_drake.systems.controllers import gain_vectors
@@ -189,7 +189,7 @@ class Evidence:
 
     def dataset(self) -> "xr.Dataset":
         coordinates = self.coordinates
-        coords = {name: (name, values) for name, values in self.axes.items()}
+        coords: dict[str, Given] = {name: (name, values) for name, values in self.axes.items()}
         of_coordinates = {
             "coordinate": coordinates.names,
             "group": coordinates.group_of,

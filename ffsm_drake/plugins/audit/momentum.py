@@ -124,11 +124,6 @@ class Momentum:
         found: Array = np.sum(momenta, axis=(0, 2)) / self.scale
         return found
 
-    @property
-    def still(self) -> Array:
-        """No lag (n, 6)."""
-        return np.zeros_like(self.missed)
-
     @functools.cached_property
     def share(self) -> float:
         """Largest deviation of a component of ``missed`` from its mean."""
@@ -158,7 +153,8 @@ class Momentum:
 
     def named(self, mistakes: Iterator[Mistake], *, share: float = SURE) -> Estimate | None:
         """The mistake that explains the residual; None if none does."""
-        return named(self.missed, self.still, mistakes, self.doubt[0], share=share)
+        no_lag = np.zeros_like(self.missed)
+        return named(self.missed, no_lag, mistakes, self.doubt[0], share=share)
 
     @functools.cached_property
     def drift(self) -> Estimate | None:

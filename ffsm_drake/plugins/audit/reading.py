@@ -54,7 +54,7 @@ _NAMES = {
     "disturbance": ("disturbance_force.{}",),
     "chain": ("force_contacts.{}",),
 }  # fmt: skip
-_MEANT = {  # quantities, in words
+MEANT = {  # quantities, in words
     "quaternion": "the base's attitude",
     "position": "the base's position",
     "angular": "the base's angular velocity",
@@ -169,7 +169,7 @@ def read_log(
         log[what] = np.broadcast_to(0.0, (len(file.time), len(labels)))
         if values is None:
             missing.append(what)
-            note += f"; {_MEANT[what]}: blank" if names else ""
+            note += f"; {MEANT[what]}: blank" if names else ""
             continue
         log[what], digits[what] = values, digits.get(what) or resolution(values)
         if axes := [axes for name, axes in _AXES.items() if names and names[0].startswith(name)]:
@@ -225,7 +225,7 @@ def _at_poses(path: Path, log: Log) -> Log:
     timed = only(log, np.isfinite(log.time))
     posed = np.isfinite(np.hstack([timed.quaternion, timed.position])).all(axis=1)
     found, unsure, whole = only(timed, posed), {}, np.full(posed.sum(), True)
-    for what in _MEANT:
+    for what in MEANT:
         if np.isfinite(getattr(found, what)).all():
             continue
         fine, coarse = (
@@ -239,7 +239,7 @@ def _at_poses(path: Path, log: Log) -> Log:
     if left := len(log.time) - len(found.time):
         note += f"; {counted(left, 'row')} left out: without a pose, or outside other columns"
     if unsure:
-        note += f"; {', '.join(_MEANT[x] for x in unsure)} interpolated to the poses' times"
+        note += f"; {', '.join(MEANT[x] for x in unsure)} interpolated to the poses' times"
     if (later := np.unique(np.maximum.accumulate(found.time)).size) < _LEAST:
         said = f"at least {_LEAST} are needed, each later than those before"
         raise RecordError(f"{path}: has {counted(later, 'sample')}; {said}")

@@ -25,7 +25,7 @@ from ffsm_drake.plugins.audit.misfit import STILL, means, noise
 from ffsm_drake.plugins.audit.momentum import check_momentum
 from ffsm_drake.plugins.audit.motions import turned
 from ffsm_drake.plugins.audit.rates import check_rates
-from ffsm_drake.plugins.audit.reading import read_log
+from ffsm_drake.plugins.audit.reading import MEANT, read_log
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.plant import base_body, make_plant
 
@@ -34,11 +34,6 @@ _DIRECT = (".urdf", ".xacro", ".yaml", ".yml")  # other kinds of files are conve
 _EVEN = 0.8  # least share of equal periods in an evenly sampled log
 _FARTHEST = 2.8  # rad between samples, nearly half a turn
 _TIME_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
-_MEANT = {
-    "angular": "the base's angular velocity",
-    "linear": "the base's velocity",
-    "rates": "the joints' rates",
-}
 
 
 def audit(
@@ -96,7 +91,7 @@ def _checks(log: Log, dynamics: Dynamics, tolerance: float) -> list[Check]:
         checks += found
         if found and found[-1].verdict == "cannot tell":
             return checks
-    missing = [_MEANT[what] for what in RATES if what in log.missing]
+    missing = [MEANT[what] for what in RATES if what in log.missing]
     if missing:
         said = f"{', '.join(missing)}: not logged, differentiated"
         checks.append(Check(name="rates", statement=said, verdict="measured"))

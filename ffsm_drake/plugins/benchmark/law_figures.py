@@ -3,6 +3,7 @@ processor time. They are computed in the workers and do not depend on the seed.
 """
 
 import contextlib
+import functools
 import math
 import statistics
 import time
@@ -49,12 +50,7 @@ def law_figures(scenario: str) -> dict[str, float | None]:
     except FfsmError:  # such as no motion within the limits
         return dict.fromkeys(FIGURES)
 
-    def delay() -> float:
-        further = min(largest_stable(given, "delay", time=edge), LARGEST_DELAY)
-        return further * given.sample_time
-
-    def payload() -> float:
-        return min(largest_stable(given, "nominal_payload", time=edge), LARGEST_FACTOR)
+    largest = functools.partial(largest_stable, given, time=edge)
 
     def found(figure: Callable[[], float]) -> float | None:
         with contextlib.suppress(FfsmError, ArithmeticError, ValueError):
@@ -68,8 +64,8 @@ def law_figures(scenario: str) -> dict[str, float | None]:
 
     return {
         RADIUS: found(lambda: expected_radius(given)),
-        PAYLOAD: found(payload),
-        DELAY: found(delay),
+        PAYLOAD: found(lambda: min(largest("nominal_payload"), LARGEST_FACTOR)),
+        DELAY: found(lambda: min(largest("delay"), LARGEST_DELAY) * given.sample_time),
         ERROR: found(lambda: find_limit(given).distance),
         TIME: found(lambda: _law_time(given, grip)),
     }
