@@ -14,6 +14,7 @@ from ffsm_drake.common.numbers import percent, usable
 from ffsm_drake.loop.blocks import settle_faults
 from ffsm_drake.runs.integration import integration_remarks
 from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.clearance import TOLERANCE, Nearest, in_words, shapes_of
@@ -111,13 +112,10 @@ def run_clearance(record: RunRecord) -> list[Closest]:
 def _clearance_in(scenario: Scenario, data: "Labelled") -> list[Closest]:
     """``run_clearance`` of a run's labelled time series."""
     found: list[Closest] = []
-    phases = data["phase"].values if "phase" in data.coords else np.full(data.sizes["time"], "stop")
-    for phase in dict.fromkeys(phases.tolist()):
-        samples = np.flatnonzero(phases == phase)
-        chosen = samples[
-            np.unique(np.linspace(0, samples.size - 1, 2 * INSTANTS - 1).round().astype(int))
-        ]
-        part, target = data.isel(time=chosen), None
+    for phase, samples in (phases_of(data) or {"stop": data}).items():
+        last = len(samples["time"].values) - 1
+        chosen = np.unique(np.linspace(0, last, 2 * INSTANTS - 1).round().astype(int))
+        part, target = samples.isel(time=chosen), None
         hidden = part["hidden_position"].values if "hidden_position" in part else None
         if phase != "stop":
             target = np.hstack([part["target_quaternion"].values, part["target_position"].values])

@@ -11,7 +11,7 @@ import numpy as np
 from ffsm_drake.runs.ending import Ending, Outcome, ending_of
 from ffsm_drake.runs.engine import DRAKE
 from ffsm_drake.runs.metrics import tracking_metrics
-from ffsm_drake.runs.table import Given, Table
+from ffsm_drake.runs.table import Given, Table, coordinate_columns
 from ffsm_drake.runs.tracking import (
     FRAME_COORDINATES,
     FRAME_UNITS,
@@ -182,16 +182,8 @@ class RunLog:
             "error": (along, self.error),
             "generalized_force": (along, self.generalized_force),
         }
-        coords: dict[str, Given] = {
-            "time": ("time", self.time, "control sample t_k", "s"),
-            "coordinate": ("coordinate", coordinates.names),
-            "position_name": ("position_name", coordinates.position_names),
-            "axis": ("axis", ["x", "y", "z"]),
-            "group": ("coordinate", coordinates.group_of),
-            "unit": ("coordinate", coordinates.units),
-        }
-        if coordinates.undriven:
-            coords["driven"] = ("coordinate", coordinates.is_driven)
+        coords = coordinate_columns(coordinates)
+        coords["time"] = ("time", self.time, "control sample t_k", "s")
         if self.frame_error is not None:
             meaning = "true pose error of the frame (rotation vector, position; world)"
             columns["frame_error"] = (("time", frame), self.frame_error, meaning, "rad, m")

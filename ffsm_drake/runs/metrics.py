@@ -73,7 +73,7 @@ def frame_figures(dataset: "Labelled") -> dict[str, Any]:
     (angle, rad) and ``position`` (m), and its smallest singular value, if known; empty if no frame
     has a reference.
     """
-    if "frame_error" not in dataset or not dataset.sizes["time"]:
+    if "frame_error" not in dataset or not len(dataset["time"].values):
         return {}
     error, prescribed = dataset["frame_error"].values, dataset["frame_prescribed"].values
     parts = {"rotation": slice(0, 3), "position": slice(3, 6)}
@@ -90,7 +90,7 @@ def drift_metrics(dataset: "Labelled") -> dict[str, dict[str, float]]:
     an angle, rad, or a distance, m; empty if everything is driven.
     """
     undriven = {*dataset["group"].values[~driven_of(dataset)].astype(str).tolist()}
-    if not undriven or "position" not in dataset or not dataset.sizes["time"]:
+    if not undriven or "position" not in dataset or not len(dataset["time"].values):
         return {}
     base = dataset["position"].values[:, :NUM_BASE_POSITIONS]
     moved = position_errors(base, np.broadcast_to(base[0], base.shape))

@@ -22,6 +22,7 @@ from ffsm_drake.loop.blocks import BLOCKS
 from ffsm_drake.runs.ending import COMPLETED, NOT_CAPTURED, OUTCOMES, Outcome
 from ffsm_drake.runs.engine import DRAKE
 from ffsm_drake.runs.signals import SIGNALS
+from ffsm_drake.runs.table import coordinate_columns
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, scenario_from_dict
 from ffsm_drake.scenario.layers import scenario_of
@@ -290,15 +291,7 @@ def _of_names(
     dataset: "xr.Dataset", coordinates: Coordinates, split: StateSplit | None
 ) -> Iterator[str]:
     """Check the names along each dimension, and their coordinates."""
-    expected: dict[str, tuple[str, Any]] = {
-        "coordinate": ("coordinate", coordinates.names),
-        "position_name": ("position_name", coordinates.position_names),
-        "group": ("coordinate", coordinates.group_of),
-        "unit": ("coordinate", coordinates.units),
-        "axis": ("axis", ("x", "y", "z")),
-    }
-    if coordinates.undriven:
-        expected["driven"] = ("coordinate", coordinates.is_driven)
+    expected = coordinate_columns(coordinates)
     if split is not None and split.names:
         expected["hidden_coordinate"] = ("hidden_coordinate", split.names)
         if dataset.get("hidden_position", dataset["time"]).dims != ("time", "hidden_coordinate"):

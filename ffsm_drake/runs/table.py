@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.part import HELD_FORCE
 
 if TYPE_CHECKING:
@@ -38,15 +39,6 @@ class Table:
 
     def __getitem__(self, name: str) -> Column:
         return self.columns[name]
-
-    @property
-    def sizes(self) -> dict[str, int]:
-        """Length of every dimension."""
-        return {
-            dim: size
-            for column in self.columns.values()
-            for dim, size in zip(column.dims, column.values.shape, strict=True)
-        }
 
     def assign(self, variables: Mapping[str, Given], coords: Mapping[str, Given]) -> "Table":
         """Return the table with further variables and coordinates, or others in their place."""
@@ -86,6 +78,22 @@ class Values:
         return values
 
 
+def coordinate_columns(coordinates: Coordinates) -> dict[str, Given]:
+    """Return the names of coordinates, positions and axes in a run's time series, and the groups
+    and units of the coordinates; which are driven, unless all are.
+    """
+    columns: dict[str, Given] = {
+        "coordinate": ("coordinate", coordinates.names),
+        "position_name": ("position_name", coordinates.position_names),
+        "axis": ("axis", ("x", "y", "z")),
+        "group": ("coordinate", coordinates.group_of),
+        "unit": ("coordinate", coordinates.units),
+    }
+    if coordinates.undriven:
+        columns["driven"] = ("coordinate", coordinates.is_driven)
+    return columns
+
+
 def with_role(dataset: "Labelled", role: str) -> list[str]:
     """Return the variables that have a role in the balances of momentum and energy
     (``part.ROLES``).
@@ -105,8 +113,8 @@ def held_force(dataset: "Labelled") -> np.ndarray:
 
 def driven_of(dataset: "Labelled") -> np.ndarray:
     """Return the mask (nv) of the coordinates that actuators move."""
-    everything: np.ndarray = np.ones(dataset.sizes["coordinate"], dtype=bool)
-    return dataset["driven"].values.astype(bool) if "driven" in dataset.coords else everything
+    everything: np.ndarray = np.ones(len(dataset["coordinate"].values), dtype=bool)
+    return dataset["driven"].values.astype(bool) if "driven" in dataset else everything
 
 
 def _column(dims: str | tuple[str, ...], values: Any, meaning: str = "", unit: str = "") -> Column:
