@@ -113,8 +113,8 @@ def _clearance_in(scenario: Scenario, data: "Labelled") -> list[Closest]:
     """``run_clearance`` of a run's labelled time series."""
     found: list[Closest] = []
     for phase, samples in (phases_of(data) or {"stop": data}).items():
-        last = len(samples["time"].values) - 1
-        chosen = np.unique(np.linspace(0, last, 2 * INSTANTS - 1).round().astype(int))
+        count = len(samples["time"].values)
+        chosen = np.unique(np.linspace(0, count - 1, 2 * INSTANTS - 1).round().astype(int))[:count]
         part, target = samples.isel(time=chosen), None
         hidden = part["hidden_position"].values if "hidden_position" in part else None
         if phase != "stop":

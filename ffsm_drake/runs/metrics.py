@@ -112,11 +112,9 @@ def phases_of(dataset: _Some) -> dict[str, _Some]:
     if "phase" not in dataset.coords:
         return {}
     phase = dataset["phase"].values.astype(str)
-
-    def part(name: str) -> Any:
-        return dataset.isel(time=phase == name)
-
-    return {str(name): part(name) for name in dict.fromkeys(phase)}
+    names = map(str, dict.fromkeys(phase))
+    parts: dict[str, Any] = {name: dataset.isel(time=phase == name) for name in names}
+    return parts
 
 
 # Largest or final size -> variable.
