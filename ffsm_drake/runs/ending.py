@@ -3,16 +3,20 @@ slipped, bounced, diverged, interrupted, failed.
 """
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ffsm_drake.common.numbers import number, rounded_up
-from ffsm_drake.runs.tracking import Tracked
+from ffsm_drake.runs.tracking import Tracked, tracked_of
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.part import Signals
 from ffsm_drake.systems.registry import section_parts
+
+if TYPE_CHECKING:
+    from ffsm_drake.runs.table import Labelled
 
 # Statuses of an outcome; those but the first are endings too.
 COMPLETED, MISSED, DIVERGED, INTERRUPTED = "completed", "missed", "diverged", "interrupted"
@@ -81,22 +85,15 @@ class Ending:
         return self.status in (GROWING, *NOT_CAPTURED, DIVERGED, FAILED)
 
 
-def ending_of(
-    outcome: Outcome,
-    scenario: Scenario,
-    time: np.ndarray,
-    tracked: Callable[[], Tracked],
-    signals: Signals,
-) -> Ending:
-    """Return the ending of a run with an outcome and its parts' signals. Other arguments: see
-    ``ending_of_completed``.
-    """
+def ending_of(outcome: Outcome, scenario: Scenario, data: "Labelled", signals: Signals) -> Ending:
+    """Return the ending of a run with an outcome, its time series and its parts' signals."""
+    time = data["time"].values
     if outcome.completed:
         given_up = ""
         with suppress(KeyError):  # a record that lacks a signal
             told = (part.given_up(signals) for part in section_parts(scenario).values())
             given_up = next(filter(None, told), "")
-        return ending_of_completed(scenario, time, tracked(), given_up=given_up)
+        return ending_of_completed(scenario, time, tracked_of(data), given_up=given_up)
     message = outcome.message
     if outcome.status == INTERRUPTED:
         count = time.size or "no"

@@ -223,7 +223,7 @@ def distances_in(log: RunLog) -> tuple[np.ndarray, np.ndarray]:
     coordinates as logged and, before the grasp, the target where it then was.
     """
     held = 0 if log.grasp is None else log.grasp.sample
-    positions, _ = np.split(log.series["state"], [len(log.coordinates.position_names)], axis=1)
+    positions = log.table["position"].values
     hidden = np.empty((log.time.size, 0))
     if "hidden_state" in log.series:
         hidden = np.split(log.series["hidden_state"], 2, axis=1)[0]

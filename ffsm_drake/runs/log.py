@@ -215,7 +215,7 @@ class RunLog:
         """The ending of the run: settled, not settled, growing, not captured, diverged,
         interrupted.
         """
-        return ending_of(self.outcome, self.scenario, self.time, lambda: self.tracked, self)
+        return ending_of(self.outcome, self.scenario, self.table, self)
 
     @property
     def metrics(self) -> dict[str, Any]:

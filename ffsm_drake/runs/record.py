@@ -32,7 +32,6 @@ from ffsm_drake.runs.reading import (
     seal_of,
 )
 from ffsm_drake.runs.table import Table, Values
-from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.systems.part import Figure, PartRecord, nested
@@ -140,8 +139,7 @@ class RunRecord:
         if self.outcome.completed and "error" not in data:
             sentence = f"Completed {self.outcome.time:g} s; the record holds no errors."
             return Ending(status=NOT_SETTLED, sentence=sentence)
-        time = data["time"].values
-        return ending_of(self.outcome, self.scenario, time, lambda: tracked_of(data), Values(data))
+        return ending_of(self.outcome, self.scenario, data, Values(data))
 
     @property
     def realtime_factor(self) -> float:

@@ -30,11 +30,10 @@ CHOICES_HEADER = ["left open by the paper", "chosen here", "was ISV used to choo
 def outcome(rows: pd.DataFrame) -> dict[str, list[str]]:
     """Sentences on the ``reproduced`` and ``not reproduced`` figures of a table's rows."""
     shown = rows[rows["setting"] == "euler"]
+    checks = [check(metric, shown) for metric in METRICS for check in (_values, _ranking)]
     found: dict[str, list[str]] = {"reproduced": [], "not reproduced": []}
-    for metric in METRICS:
-        _add(found, *_values(metric, shown))
-        _add(found, *_ranking(metric, shown))
-    _add(found, *_differences(shown))
+    for holds, sentence in (*checks, _differences(shown)):
+        found["reproduced" if holds else "not reproduced"].append(sentence)
     return found
 
 
@@ -46,10 +45,6 @@ def outcome_text(rows: pd.DataFrame) -> str:
     lines += ["Chosen here:"]
     lines += [f"  {what}: {chosen} (ISV used: {isv})" for what, chosen, isv in CHOICES]
     return "\n".join(lines)
-
-
-def _add(found: dict[str, list[str]], holds: bool, sentence: str) -> None:
-    found["reproduced" if holds else "not reproduced"].append(sentence)
 
 
 def _values(metric: str, rows: pd.DataFrame) -> tuple[bool, str]:

@@ -85,10 +85,6 @@ def shown_ours(metric: str, mean: float, spread: float) -> str:
     return f"({mantissa} ± {spread / 10.0 ** int(exponent):.3f}){power_of_ten(int(exponent))}"
 
 
-def shown_ratio(ratio: float) -> str:
-    return "–" if math.isnan(ratio) else times(ratio)
-
-
 def markdown_rows(rows: pd.DataFrame) -> list[list[str]]:
     """Cell texts of one setting's table."""
     lines = []
@@ -96,12 +92,13 @@ def markdown_rows(rows: pd.DataFrame) -> list[list[str]]:
         line = [DISTURBANCE_NAMES[row["disturbance"]], NAMES[row["controller"]]]
         for metric in METRICS:
             mark = " †" if row[f"{metric}_paper_correction"] else ""
+            ratio = row[f"{metric}_ratio"]
             # The time is given once.
             ended = row["diverged"] and (row["diverged"] if metric == "itae" else "diverged")
             line += [
                 shown(metric, row[f"{metric}_paper"]) + mark,
                 ended or shown_ours(metric, row[f"{metric}_mean"], row[f"{metric}_spread"]),
-                shown_ratio(row[f"{metric}_ratio"]),
+                "–" if math.isnan(ratio) else times(ratio),
                 f"{row[f'{metric}_rank']} ({row[f'{metric}_paper_rank']})",
             ]
         lines.append(line)

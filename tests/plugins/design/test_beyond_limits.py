@@ -13,7 +13,7 @@ from ffsm_drake.plugins.capture.modes import Mode
 from ffsm_drake.plugins.design.stability.rehearsal import is_near_limits
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.runs.ending import Outcome, ending_of
-from ffsm_drake.runs.tracking import Tracked
+from ffsm_drake.runs.table import Table
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -94,12 +94,13 @@ def test_a_run_that_ends_off_its_plan_has_not_settled(mode):
     """In rate damping the reference is the measured state, so that errors are small."""
     scenario = load_scenario("tumbling_capture", ["supervisor={}"])
     time = np.arange(0.0, 60.0, 0.01)
-    still = Tracked(
-        error=1e-9 * np.ones((time.size, 1)), names=("joint_1",), groups=("joints",), units=("rad",)
-    )
+    error = (("time", "coordinate"), 1e-9 * np.ones((time.size, 1)))
+    names = {"coordinate": "joint_1", "group": "joints", "unit": "rad"}
+    coords = {name: ("coordinate", [value]) for name, value in names.items()}
+    still = Table().assign({"error": error}, {"time": ("time", time), **coords})
     signals = {"mode": np.where(time < 30.0, Mode.STOP, mode)}
     outcome = Outcome(status="completed", time=60.0, message="")
-    ending = ending_of(outcome, scenario, time, lambda: still, signals)
+    ending = ending_of(outcome, scenario, still, signals)
     gave_up = mode in (Mode.RATE_DAMPING, Mode.RETREAT)
     assert ending.gave_up is gave_up
     assert (mode.words in ending.sentence) is gave_up
