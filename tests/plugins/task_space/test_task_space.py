@@ -205,7 +205,7 @@ def test_the_frame_gets_there_with_the_wrong_payload(law, most):
     path = "reference.frame={position: [2.2, 0.9, 3.1], frame: 'servicer::end_effector'}"
     log = followed(law, path, "target_posture.joints={}")
     error = log.frame_error
-    assert np.array_equal(log.frame_tracked, [True] * 6)
+    assert np.array_equal(log.table["frame_tracked"].values, [True] * 6)
     assert np.abs(error).max() < most
     assert np.abs(error[-1]).max() < 1e-4
     assert np.abs(log.error[-1, 6:]).max() > 3e-3
@@ -273,7 +273,7 @@ def test_a_joint_law_is_judged_by_joints_beside_a_frame():
         "duration=0.1",
         "reference.frame={position: [2.2, 0.9, 3.1], task: position}",
     )
-    assert not log.frame_tracked.any()
+    assert not log.table["frame_tracked"].values.any()
     assert log.frame_error.shape == (11, 6)
     assert log.tracked.groups == ("joints",) * 7
     record = make_record(log, start=0.0)
