@@ -31,8 +31,7 @@ from ffsm_drake.runs.ending import GROWING, NOT_CAPTURED
 from ffsm_drake.runs.engine import DRAKE
 from ffsm_drake.runs.limits import CLEARANCE, distances_in, limits_left, not_measured
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.metrics import METRICS as RUN_METRICS
-from ffsm_drake.runs.metrics import drift_metrics, frame_figures
+from ffsm_drake.runs.metrics import METRICS, drift_metrics, frame_figures
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.clearance import in_words
@@ -44,7 +43,6 @@ from ffsm_drake.systems.registry import section_parts
 UNSETTLED = ("not_settled", "growing", *NOT_CAPTURED, "diverged")
 COMPLETED = ("settled", "not_settled", "growing")  # runs that reached their end
 OUTCOMES = ("settled", *UNSETTLED, "refused", "error")
-METRICS = (*(each.column_name for each in RUN_METRICS if each.column_name), "settled_time")
 PREDICTIONS = ("predicted_radius_starting", "predicted_radius_expected")
 # FIRST_LIMIT, which a run with a capture exceeds first, is text.
 LOAD, FIRST_LIMIT = "predicted_load", "first_limit"
@@ -177,7 +175,7 @@ def metric_tables(spec: Spec) -> list[tuple[Metric, ...]]:
     """Return the metrics of a campaign's runs, by table of its page."""
     of_capture, *others = _judged(spec)
     of_parts = (tuple(part.metrics()) for part in parts_of_campaign(spec))
-    return [(*RUN_METRICS, _SETTLED), of_capture, *of_parts, *others]
+    return [(*METRICS, _SETTLED), of_capture, *of_parts, *others]
 
 
 def _judged(spec: Spec) -> list[tuple[Metric, ...]]:
@@ -385,7 +383,7 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
             outcome, message = "not_settled", run.unsettled
         if log.ending.status == GROWING:
             outcome, message = "growing", log.ending.sentence
-    values = {each.column_name: each.of(log.table) for each in RUN_METRICS if each.column_name}
+    values = {each.column_name: each.of(log.table) for each in METRICS if each.column_name}
     for metric in (_SETTLED, *itertools.chain(*_judged(spec))):
         values[metric.column_name] = metric.of(run)
     text = {"outcome": outcome, "message": message}

@@ -27,14 +27,14 @@ from ffsm_drake.plugins.campaign.prediction import StabilityMap, predict_map
 from ffsm_drake.plugins.campaign.spec import Spec
 from ffsm_drake.plugins.campaign.store import Store
 from ffsm_drake.runs.ending import NOT_CAPTURED
-from ffsm_drake.runs.metrics import METRICS as RUN_METRICS
+from ffsm_drake.runs.metrics import METRICS
 from ffsm_drake.runs.record import software_versions
 
 CONFIDENCE = 0.95
 BINS = 10  # equally filled, for the share of variance that a value explains
 _PERMUTATIONS = 500
 FEWEST_PAIRS = 10  # fewest pairs for a confidence interval
-_HEADINGS = {each.column_name: each.column_heading for each in RUN_METRICS}
+_HEADINGS = {each.column_name: each.column_heading for each in METRICS}
 GRID_METRICS = {
     name: _HEADINGS[name]
     for name in ("isv", "itae", "peak_effort_base_position", "peak_error_base_rotation")

@@ -44,7 +44,7 @@ def reproduce(
     # Drawing and templates are slow to import, and PARTS needs neither.
     from ffsm_drake.plugins.paper import claims, figures, outcome, page, runs, table
 
-    drawing = {
+    drawing: dict[str, Callable[..., list[figures.FigureFile]]] = {
         "fig3": figures.write_figure_3,
         **{key: partial(figures.write_overlaid, key=key) for key in ("fig4", "fig5")},
     }
