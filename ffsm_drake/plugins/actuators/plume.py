@@ -80,29 +80,23 @@ class PlumeField:
         """
         plant, context = self._model.plant, self._model.context
         plant.SetPositions(context, q)
-        X_WB = self._base.EvalPoseInWorld(context)
         total, each = np.zeros(plant.num_velocities()), np.zeros((len(force), 3))
-        fired = np.flatnonzero(force > 0.0)
-        if not (fired.size and self._bodies):
-            return total, each
-        u = self._rays[fired] @ X_WB.rotation().matrix().T
-        p = self._at[fired] @ X_WB.rotation().matrix().T + X_WB.translation()
-        push = (force[fired] * self._parts[fired])[:, None, None] * u
-        bodies = (*self._bodies, self._base)
-        self._solids.place(
-            np.array([body.EvalPoseInWorld(context).GetAsMatrix34() for body in bodies])
-        )
-        met = [self._met(*each) for each in zip(fired.tolist(), p, u, strict=True)]
-        first, length = (np.array(each) for each in zip(*met, strict=True))
-        hit = first >= 0
-        each[fired] = np.where(hit[..., None], push, 0.0).sum(axis=1)
-        for index in np.unique(first[hit]):
-            chosen = hit & (first == index)
-            body = self._bodies[index]
-            at = (p[:, None] + np.where(chosen, length, 0.0)[..., None] * u)[chosen]
-            arm = at - body.EvalPoseInWorld(context).translation()
-            wrench = np.hstack([np.cross(arm, push[chosen]), push[chosen]]).sum(axis=0)
-            total += self._model.calc_jacobian(q, body.body_frame()).T @ wrench
+        poses = [body.EvalPoseInWorld(context) for body in (*self._bodies, self._base)]
+        self._solids.place(np.array([pose.GetAsMatrix34() for pose in poses]))
+        wrenches = np.zeros((len(self._bodies), 6))  # of each shape on its body, about its origin
+        R = poses[-1].rotation().matrix()
+        for thruster in np.flatnonzero(force > 0.0).tolist():
+            p, u = poses[-1].multiply(self._at[thruster]), self._rays[thruster] @ R.T
+            push = force[thruster] * self._parts[thruster] * u
+            first, length = self._met(thruster, p, u)
+            each[thruster] = push[first >= 0].sum(axis=0)
+            for index in np.unique(first[first >= 0]):
+                hit = first == index
+                arm = p + length[hit, None] * u[hit] - poses[index].translation()
+                wrenches[index] += np.hstack([np.cross(arm, push[hit]), push[hit]]).sum(axis=0)
+        for index in np.flatnonzero(wrenches.any(axis=1)):
+            jacobian = self._model.calc_jacobian(q, self._bodies[index].body_frame())
+            total += jacobian.T @ wrenches[index]
         return total, each
 
     def _met(self, thruster: int, p: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -110,7 +104,7 @@ class PlumeField:
         without one, and the distance (n), m.
         """
         count = len(self._bodies)
-        pairs = np.array([(count + thruster, shape) for shape in range(count)])
+        pairs = np.array([(count + thruster, shape) for shape in range(count)]).reshape(-1, 2)
         near = [shape for shape, _, _ in self._solids.within(pairs, _LEAST)]
         return self._solids.first_met(p, u, [*near, *range(count, count + len(self._at))])
 
