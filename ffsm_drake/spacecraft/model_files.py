@@ -70,6 +70,8 @@ def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path,
     pending = [first]
     for path in pending:  # grows during the loop
         try:
+            if path.is_dir() and path != first:
+                path = path / "model.sdf"  # of a model in SDFormat
             check_regular(path, limit=MAX_SIZE)
             if path.suffix.lower() in (".urdf", ".xacro"):
                 _parsed(path)
@@ -82,8 +84,9 @@ def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path,
                         text = file.read(_MAX_READ)
                 for found in _NAMES.finditer(text[:_MAX_READ]):
                     name = next(filter(None, found.groups()), "")
-                    further = resolved(name, path.parent, packages)
-                    pending += [other for other in further if other not in pending]
+                    for folder in (path.parent, first.parent):  # the latter for MuJoCo
+                        further = resolved(name, folder, packages)
+                        pending += [other for other in further if other not in pending]
         except FileNotFoundError:
             continue
         except (ModelError, OSError, ValueError) as error:

@@ -40,21 +40,24 @@ class Joint:
         return self.upper - self.lower < 20.0
 
     @property
+    def _margin(self) -> float:
+        """A tenth of the range, which a motion keeps to the limits, rad or m."""
+        return 0.1 * (self.upper - self.lower) if self.is_limited else 0.0
+
+    @property
     def rest(self) -> float:
-        """Position nearest to 0 with a distance of a tenth of the range to the limits, rad or m."""
-        margin = 0.1 * (self.upper - self.lower) if self.is_limited else 0.0
-        return min(max(0.0, self.lower + margin), self.upper - margin)
+        """Position nearest to 0 with the margin to the limits, rad or m."""
+        return min(max(0.0, self.lower + self._margin), self.upper - self._margin)
 
     @property
     def range(self) -> tuple[float, float]:
         """Part of the range that a motion may use, rad or m."""
-        margin = 0.1 * (self.upper - self.lower) if self.is_limited else 0.0
         way = _TURN
         if self.unit == "m":
             way = math.inf if self.is_limited else _STROKE
         return (
-            max(self.lower + margin, self.rest - way),
-            min(self.upper - margin, self.rest + way),
+            max(self.lower + self._margin, self.rest - way),
+            min(self.upper - self._margin, self.rest + way),
         )
 
     @property

@@ -187,13 +187,12 @@ class _Guarded(ast.NodeTransformer):
         operands = self.visit(node.left), self.visit(node.right)
         return _call("_bounded", _call(function.__name__, *operands))
 
-    def visit_Dict(self, node: ast.Dict) -> Any:
-        require(None not in node.keys, "** is not allowed in an expression")
+    def visit_Dict(self, node: ast.Dict | ast.keyword) -> Any:
+        names = node.keys if isinstance(node, ast.Dict) else [node.arg]
+        require(None not in names, "** is not allowed in an expression")
         return self.generic_visit(node)
 
-    def visit_keyword(self, node: ast.keyword) -> Any:
-        require(node.arg is not None, "** is not allowed in an expression")
-        return self.generic_visit(node)
+    visit_keyword = visit_Dict
 
 
 def _call(function: str, *arguments: Any) -> ast.Call:

@@ -1,14 +1,11 @@
 """Elements of an XML file with their lines, which stay when other elements are removed."""
 
 import math
-import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from xml.etree.ElementTree import Element, TreeBuilder
 from xml.parsers import expat
 
-from ffsm_drake.common.errors import ModelError, one_line
-from ffsm_drake.common.files import check_regular
 from ffsm_drake.spacecraft.checked_urdf import MOST_FAR, Numbers, decoded
 
 Lines = Mapping[Element, int]
@@ -74,23 +71,3 @@ def number_faults(elements: Iterable[Element], lines: Lines) -> Iterator[str]:
             if allowed is not None and (text or not len(element)):
                 place = f"line {lines.get(element, 0)}: <{element.tag}>"
                 yield from (f"{place} {problem}" for problem in allowed.problems(text))
-
-
-def check_names(root: Element, lines: Lines, folder: Path) -> None:
-    """Raise ModelError for an invalid version, or for the address of a device or FIFO."""
-    version = root.get("version", "1.0")
-    if not re.fullmatch(r"\d{1,3}(\.\d{1,3}){0,2}", version):
-        raise ModelError(f"<sdf version> must be such as 1.9, not '{version[:40]}'")
-    for uri in root.iter("uri"):
-        scheme, separator, rest = (uri.text or "").strip().rpartition("://")
-        if scheme in ("", "file") and rest:
-            try:
-                check_regular(Path(rest) if separator else folder / rest, limit=500_000_000)
-            except FileNotFoundError:
-                continue  # which Drake reports
-            except (OSError, ValueError) as error:
-                if not isinstance(error, OSError) or "folder" not in str(error):
-                    raise ModelError(
-                        f"line {lines.get(uri, 0)}: <uri> '{rest[:60]}' {one_line(error)}; name "
-                        "a file"
-                    ) from error

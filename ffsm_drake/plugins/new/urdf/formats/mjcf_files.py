@@ -13,6 +13,7 @@ import mujoco
 
 from ffsm_drake.common.errors import ModelError, one_line
 from ffsm_drake.spacecraft.checked_urdf import require
+from ffsm_drake.spacecraft.model_files import files_of
 
 MISSING = "ffsm_missing_"  # names of what stands for a mesh without its file begin so
 _MOST_PARTS = 10_000  # made by counts
@@ -95,18 +96,11 @@ def _check_counts(path: Path) -> None:
 
 def _files(path: Path) -> Iterator[tuple[Path, Element]]:
     """An MJCF file and the files that it includes or attaches, with their root elements."""
-    pending = [path]
-    for file in pending:  # grows during the loop
-        require(len(pending) <= _MOST_PARTS, "includes too many files")
+    for file in files_of(str(path), "its files", {}):
         try:
-            root = ElementTree.parse(file, ElementTree.XMLParser(encoding="utf-8")).getroot()
+            yield file, ElementTree.parse(file, ElementTree.XMLParser(encoding="utf-8")).getroot()
         except (OSError, ElementTree.ParseError, ValueError, LookupError):
             continue  # which MuJoCo reports
-        yield file, root
-        for each in (*root.iter("include"), *root.iter("model")):
-            for folder in {path.parent, file.parent}:
-                other = folder / each.get("file", "")
-                pending += [other] if other.is_file() and other not in pending else []
 
 
 def _counts(element: Element) -> Iterator[tuple[str, float, float]]:

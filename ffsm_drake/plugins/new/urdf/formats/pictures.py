@@ -40,20 +40,18 @@ class Pictures:
         """
         self._packages, self._folder, self._prepare = packages, folder, prepare
         self.visuals = dict[str, Element]()  # by the name of the frame in its place
-        self._copies, self._open = dict[Path, Path](), list[Path]()
+        self._copies = dict[Path, Path]()
 
     def take(self, tree: Element, path: Path) -> None:
         """Put a frame in place of each visual of a file, of its collision shapes for a link without
         one, and the copies in place of the files that it includes.
         """
-        self._open.append(path.resolve())
         for model in list(tree.iter()):
             for link in model.findall("link"):
                 for visual in link.findall("visual") or link.findall("collision"):
                     self._take(visual, model, link, path)
             for include in model.findall("include"):
                 self._include(include, model, path)
-        self._open.pop()
 
     def _take(self, visual: Element, model: Element, link: Element, path: Path) -> None:
         name = f"{PICTURE}{len(self.visuals)}"
@@ -70,7 +68,6 @@ class Pictures:
         file = found_file(address, path, self._packages, is_model=True)
         if uri is None or file is None:
             return  # which Drake reports
-        require(file not in self._open, f"{path.name}: <include> of {file.name} includes itself")
         if file.suffix.lower() not in (".sdf", ".world"):
             for link in model.findall("link")[:1]:  # its pictures are not known
                 visual = Element("visual")
@@ -83,7 +80,9 @@ class Pictures:
             copy = self._copies[file] = self._folder / f"{len(self._copies)}" / file.name
             copy.parent.mkdir()
             copy.write_bytes(ElementTree.tostring(self._prepare(file), encoding="utf-8"))
-        uri.text = str(self._copies[file])
+        copy = self._copies[file]
+        require(copy.is_file(), f"{path.name}: <include> of {file.name} includes itself")
+        uri.text = str(copy)
 
     def add(self, root: Element, plant: MultibodyPlant, name_of: Callable[[Any], str]) -> None:
         """Add the visuals to the links of a URDF, as a plant has their frames.
@@ -94,14 +93,15 @@ class Pictures:
           name_of: the name of a body's link.
         """
         links = {link.get("name"): link for link in root.findall("link")}
-        for frame in _frames(plant):
+        for frame in frames_of(plant):
             if (visual := self.visuals.get(frame.name())) is not None:
                 link = links.get(name_of(frame.body()))
                 if link is not None:
                     _add(link, visual, frame.GetFixedPoseInBodyFrame())
 
 
-def _frames(plant: MultibodyPlant) -> Iterator[Any]:
+def frames_of(plant: MultibodyPlant) -> Iterator[Any]:
+    """The frames of all models."""
     for instance in map(ModelInstanceIndex, range(plant.num_model_instances())):
         yield from map(plant.get_frame, plant.GetFrameIndices(instance))
 

@@ -13,7 +13,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
+from pydrake.multibody.tree import BodyIndex
 
 from ffsm_drake.common.errors import one_line
 from ffsm_drake.common.numbers import counted
@@ -28,14 +28,14 @@ from ffsm_drake.plugins.new.urdf.formats.building import (
 )
 from ffsm_drake.plugins.new.urdf.formats.located import (
     Lines,
-    check_names,
     keep_lines,
     number_faults,
     read_located,
 )
-from ffsm_drake.plugins.new.urdf.formats.pictures import Pictures
+from ffsm_drake.plugins.new.urdf.formats.pictures import Pictures, frames_of
 from ffsm_drake.spacecraft.checked_urdf import Faults, require
 from ffsm_drake.spacecraft.inertia import MOMENTS, mended_moments, read_mass
+from ffsm_drake.spacecraft.model_files import files_of
 
 # Without effect on a spacecraft in free flight; Drake reports some of them as unsupported.
 _PASSED_OVER = (
@@ -51,12 +51,18 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     """The URDF of an SDFormat file, and remarks. Raises ModelError: Drake cannot read it, or parts
     of it cannot be represented.
     """
+    folders = {name: str(root) for name, root in packages.items()}
     passed, frictions, mimics = Counter[str](), dict[str, float](), dict[str, Element]()
 
     def read(file: Path) -> tuple[Element, Lines]:
         """A file ready for Drake."""
         tree, lines = read_located(file)
-        check_names(tree, lines, file.resolve().parent)
+        version = tree.get("version", "1.0")
+        require(
+            re.fullmatch(r"\d{1,3}(\.\d{1,3}){0,2}", version),
+            f"<sdf version> must be such as 1.9, not '{version[:40]}'",
+        )
+        files_of(str(file), "its files", folders)
         known = len(pictures.visuals)
         pictures.take(tree, file)
         passed.update(_remove(tree))
@@ -103,11 +109,10 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
                 offset = _value(mimic, "offset") - slope * zero
                 add_mimic(added, unique.get(leader, leader), slope, offset)
     faults.raise_all()
-    for instance in map(ModelInstanceIndex, range(plant.num_model_instances())):
-        for frame in map(plant.get_frame, plant.GetFrameIndices(instance)):
-            if frame.name() in frames:
-                link = names[_scoped(plant, frame.body())]
-                add_frame(root, frame.name(), link, frame.GetFixedPoseInBodyFrame())
+    for frame in frames_of(plant):
+        if frame.name() in frames:
+            link = names[_scoped(plant, frame.body())]
+            add_frame(root, frame.name(), link, frame.GetFixedPoseInBodyFrame())
     told = [
         f"<{tag}> ({counted(count, 'time')})" for tag, count in passed.items() if tag != "visual"
     ]
