@@ -92,8 +92,7 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
     mass, _ = planned.mass_matrices(time, locked=True)
     walk = np.sqrt(np.mean(np.gradient(demand.lumped, step, axis=0) ** 2, axis=0) * step)
     response = loop.with_random_walk(walk, mass).noise_response(count)
-    noise = _sensor_noise(scenario, demand.coordinates)
-    before, after = _filter(noise, walk, samples=count, sample_time=step)
+    before, after = _filter(scenario, demand.coordinates, walk)
     scale = np.where(
         np.isfinite(response["error"]), response["error"], np.sqrt(before[:, 0, 0]) * step**2
     )
@@ -110,59 +109,44 @@ def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
     )
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class _SensorNoise:
-    """Noise of measured positions, then velocities (nv, 2), SI units; zero: none."""
+def _filter(
+    scenario: Scenario, coordinates: Coordinates, walk: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Covariances (nv, 3, 3) of each axis' [q, v, d] in units of [L^2, L, 1], of the Kalman filter.
 
-    white: np.ndarray  # standard deviations
-    correlated: np.ndarray
-    time_constant: np.ndarray  # time constant of the correlated noise, s
-    bias_walk: np.ndarray  # (nv) of the velocities' biases, per sqrt(s)
-
-
-def _sensor_noise(scenario: Scenario, coordinates: Coordinates) -> _SensorNoise:
-    sensing = smooth_sensing(scenario)
+    Before and after the correction of a sample, at the next power of two of the run's samples after
+    a known state, as in ``covariance_after``. The filter knows the force, so that its axes are
+    decoupled. Its state is [q, v, d], the bias of v, correlated noise of q and of v.
+    """
+    sensing, step = smooth_sensing(scenario), scenario.sample_time
 
     def vector(name: str, default: float = 0.0) -> np.ndarray:
         return coordinates.vector(getattr(sensing, name), key=f"sensing.{name}", default=default)
 
     def both(name: str) -> np.ndarray:
-        return np.stack([vector(f"position_{name}"), vector(f"velocity_{name}")], axis=1)
+        measured = np.stack([vector(f"position_{name}"), vector(f"velocity_{name}")], axis=1)
+        return measured / [step**2, step]
 
     time_constant = np.repeat(vector("correlation_time", 1.0)[:, None], 2, axis=1)
     time_constant[:3, 0] = time_constant[0, 0]  # the attitude's three have one
-    return _SensorNoise(
-        white=both("noise"),
-        correlated=both("correlated_noise"),
-        time_constant=time_constant,
-        bias_walk=vector("velocity_bias_walk"),
-    )
-
-
-def _filter(
-    noise: _SensorNoise, walk: np.ndarray, *, samples: int, sample_time: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Covariances (nv, 3, 3) of each axis' [q, v, d] in units of [L^2, L, 1], of the Kalman filter.
-
-    Before and after the correction of a sample, at the next power of two of ``samples`` after a
-    known state, as in ``covariance_after``. The filter knows the force, so that its axes are
-    decoupled. Its state is [q, v, d], the bias of v, correlated noise of q and of v.
-    """
-    step, size = sample_time, np.array([sample_time**2, sample_time])
-    kept = np.exp(-step / noise.time_constant)  # decay in one sample
+    kept = np.exp(-step / time_constant)  # decay in one sample
     transition = np.tile(np.eye(6), (len(walk), 1, 1))
     transition[:, :3, :3] = [[1.0, 1.0, 0.5], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]
     transition[:, [4, 5], [4, 5]] = kept
     output = np.array([[1.0, 0.0, 0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 1.0, 0.0, 1.0]])
-    correlated, white = noise.correlated / size, noise.white / size
+    correlated, white, bias_walk = (
+        both("correlated_noise"),
+        both("noise"),
+        vector("velocity_bias_walk"),
+    )
     process = np.zeros((len(walk), 6, 6))
-    process[:, [2, 3], [2, 3]] = step * np.stack([walk, noise.bias_walk / step], axis=1) ** 2
+    process[:, [2, 3], [2, 3]] = step * np.stack([walk, bias_walk / step], axis=1) ** 2
     process[:, [4, 5], [4, 5]] = correlated**2 * (1.0 - kept**2)
     # As in ``kalman_gain`` the gain assumes at least a little noise on every measurement.
     largest = np.column_stack([white, correlated, walk * np.sqrt(step)]).max(axis=1)
     assumed = np.maximum(white, SMALLEST_RATIO * largest[:, None]) ** 2
     before = process
-    for _ in range(1 << max(samples - 1, 0).bit_length()):
+    for _ in range(1 << (scenario.num_control_periods - 1).bit_length()):
         spread = output @ before @ output.T + assumed[:, None] * np.eye(2)
         gain = np.swapaxes(np.linalg.solve(spread, output @ before), 1, 2)
         correct = np.eye(6) - gain @ output

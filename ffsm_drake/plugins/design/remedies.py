@@ -23,7 +23,7 @@ from ffsm_drake.plugins.design.stability.boundaries import feedback_gains
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.mission import LegVerdict, linear_verdict
 from ffsm_drake.plugins.design.stability.one_axis import tolerated_eta
-from ffsm_drake.plugins.design.stability.rehearsal import MANY, share_diverged
+from ffsm_drake.plugins.design.stability.rehearsal import MANY, shares_diverged
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, controller_key, override_scenario
 from ffsm_drake.spacecraft.plant import files_read
@@ -83,7 +83,10 @@ def _of_the_loop(scenario: Scenario, legs: Sequence[LegVerdict]) -> Iterator[Adv
             ),
         ),
         ("smaller gains", _smaller(scenario, feedback_gains(scenario))),
-        ("a shorter control period", _sooner(scenario)),
+        (
+            "a shorter control period",
+            ({"sample_time": rounded(each * scenario.sample_time)} for each in _SOONER),
+        ),
         ("less delay, or the right delay in the estimator", _less_delay(scenario)),
     ):
         lighter = reason.startswith(_LIGHTER)  # which may be too light in the end
@@ -93,16 +96,20 @@ def _of_the_loop(scenario: Scenario, legs: Sequence[LegVerdict]) -> Iterator[Adv
 
 def _of_limits(scenario: Scenario) -> Iterator[Advice]:
     """Changes that keep the loop from diverging under its limits, if noise drives it there."""
-    if scenario.actuation.limit is None or is_rehearsed(scenario):
+    limit = scenario.actuation.limit
+    if limit is None or is_rehearsed(scenario):
         return
 
     def stays(changed: Scenario) -> bool:
-        return share_diverged(changed, seeds=MANY) == 0.0
+        return shares_diverged([changed], seeds=MANY) == [0.0]
 
     if stays(scenario):
         return
     for reason, trials in (
-        ("larger limits", _larger_limits(scenario)),
+        (
+            "larger limits",
+            ({"actuation.limit": _scaled(scenario, limit, factor)} for factor in _MORE),
+        ),
         ("smaller gains", _smaller(scenario, feedback_gains(scenario))),
         ("a longer motion", _longer(scenario)),
     ):
@@ -201,11 +208,6 @@ def _scaled(scenario: Scenario, given: Any, factor: float) -> Any:
     return rounded(factor * given)
 
 
-def _sooner(scenario: Scenario) -> Iterator[Changes]:
-    for factor in _SOONER:
-        yield {"sample_time": rounded(factor * scenario.sample_time)}
-
-
 def _less_delay(scenario: Scenario) -> Iterator[Changes]:
     sensing, actuation = scenario.sensing.delay, scenario.actuation.delay
     if sensing and scenario.estimator.delay not in (None, sensing):
@@ -214,11 +216,6 @@ def _less_delay(scenario: Scenario) -> Iterator[Changes]:
         delays = {"sensing.delay": sensing, "actuation.delay": actuation}
         timed = {} if scenario.sensing.delay_time is None else {"sensing.delay_time": None}
         yield timed | {key: max(delay - less, 0) for key, delay in delays.items() if delay}
-
-
-def _larger_limits(scenario: Scenario) -> Iterator[Changes]:
-    for factor in _MORE:
-        yield {"actuation.limit": _scaled(scenario, scenario.actuation.limit, factor)}
 
 
 def _longer(scenario: Scenario) -> Iterator[Changes]:

@@ -45,6 +45,7 @@ from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, checked
 from ffsm_drake.systems.part import Advice
 
+_ALONE = ", each by itself"  # of remedies that may help without the others
 _RARE = 0.02  # share of noise sequences with divergence that is no alarm
 
 
@@ -175,7 +176,7 @@ class Verdict:
         if self.advice:
             yield helps(self.advice)
         if self.remedies:
-            yield helps_alone(self.remedies)
+            yield helps(self.remedies, _ALONE)
 
     @property
     def _is_in_margins(self) -> bool:
@@ -334,14 +335,9 @@ def mission(scenario: Scenario, *, rehearsal: bool) -> tuple[dict[str, Any], lis
     return data, [*found.lines, found.conclusion, *momentum_lines(momentum.get("momentum_budget"))]
 
 
-def helps(found: Iterable[Advice]) -> str:
-    """Remedies for saturated actuators, in one line; none is rehearsed."""
-    return f"what may help: {'; '.join(map(str, found))}"
-
-
-def helps_alone(found: Iterable[Advice]) -> str:
-    """Changes that may help without the others, in one line."""
-    return f"what may help, each by itself: {'; '.join(map(str, found))}"
+def helps(found: Iterable[Advice], how: str = "") -> str:
+    """Return remedies in one line; those for saturated actuators are not rehearsed."""
+    return f"what may help{how}: {'; '.join(map(str, found))}"
 
 
 def helpful_remarks(record: RunRecord) -> list[str]:
@@ -352,7 +348,7 @@ def helpful_remarks(record: RunRecord) -> list[str]:
         shares = (f"{name} in {percent(share)}" for name, share in saturated.items() if share)
         told.append(f"saturated: {', '.join(shares)} of the samples; {helps(for_saturation)}")
     if others:
-        told.append(helps_alone(others))
+        told.append(helps(others, _ALONE))
     return told
 
 

@@ -19,7 +19,6 @@ from collections.abc import Callable
 
 import numpy as np
 from pydrake.math import RotationMatrix
-from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.so3 import attitude_motion
@@ -188,8 +187,3 @@ def turned(
     )
     steps = rotation[:-1] @ np.array(left).transpose(2, 1, 0) @ slope
     return rotation, np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(steps, axis=0)])
-
-
-def rotation_vector(rotation: np.ndarray) -> np.ndarray:
-    """Rotation vectors (n, 3) of rotation matrices (n, 3, 3), rad, below half a turn."""
-    return Rotation.from_matrix(rotation).as_rotvec()

@@ -21,13 +21,13 @@ from pydrake.solvers import (
     SnoptSolver,
     SolverOptions,
 )
+from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.so3 import attitude_motion
 from ffsm_drake.plugins.planning.inverse_dynamics import (
     FreeDynamics,
     InverseDynamics,
     complex_step,
-    rotation_vector,
     turned,
 )
 from ffsm_drake.plugins.planning.limits import MotionLimits
@@ -280,7 +280,7 @@ class PlanningProgram:
         step = np.zeros((len(self._steps), self._unknowns.size))
         step[:, self._points.size :] = self._steps @ self._lengths_by
         rotation, turning = turned(w, alpha, slope, self._steps @ self._last_lengths, step)
-        return rotation_vector(rotation[1:]), turning[1:]
+        return Rotation.from_matrix(rotation[1:]).as_rotvec(), turning[1:]
 
     def _turn_of(self, unknowns: np.ndarray) -> float:
         """Rotation of the base by the joints, rad; zero without a limit on it."""

@@ -19,7 +19,6 @@ from ffsm_drake.plugins.design.stability.rehearsal import (
     FEW,
     Rehearsal,
     rehearse,
-    share_diverged,
     shares_diverged,
 )
 from ffsm_drake.plugins.design.verdict import verdict
@@ -135,12 +134,12 @@ def alike(one, other):
 def test_compiled_rehearsals_are_those_of_drake(seed, monkeypatch):
     scenario = drawn(seed)
     compiled = rehearse(scenario, seeds=FEW)
-    share = share_diverged(scenario, seeds=FEW)
+    (share,) = shares_diverged([scenario], seeds=FEW)
     with monkeypatch.context() as patch:
         patch.setattr(rehearsal, "_engine", lambda: None)
         patch.setattr(rehearsal, "_shared", rehearsal._rehearsed)
         alike(compiled, rehearse(scenario, seeds=FEW))
-        assert share_diverged(scenario, seeds=FEW) == share == compiled.share_diverged
+        assert shares_diverged([scenario], seeds=FEW) == [share] == [compiled.share_diverged]
         few = rehearse(scenario, seeds=16)
         assert rehearse(scenario, seeds=16, on_drake=False) is None
     assert few.noises == FEW

@@ -312,7 +312,12 @@ class _Search:
             self._by_axis(law)
         better = self._better_ones()
         if not self.given.is_by_axis or not better:
-            self._vary(better[0] if better else self.given)
+            vary(
+                better[0] if better else self.given,
+                functools.partial(self._evaluate, "varied"),
+                requirement=self.requirement,
+                on_price=self._check_time,
+            )
 
     def _by_axis(self, law: TimeDelayControl) -> None:
         scenario = self.given.scenario
@@ -335,14 +340,6 @@ class _Search:
                         self.requirement,
                         lambda made: self._evaluate("coupled", _with_coupled_estimator(made)),
                     )
-
-    def _vary(self, start: DesignPoint) -> None:
-        vary(
-            start,
-            functools.partial(self._evaluate, "varied"),
-            requirement=self.requirement,
-            on_price=self._check_time,
-        )
 
     def _better_ones(self) -> list[DesignPoint]:
         """The points that are better than the given gains by more than a trifle, the best first."""
@@ -509,9 +506,8 @@ def _boundaries(scenario: Scenario) -> tuple[Boundaries, float]:
     time, s.
     """
     with Linearizer(scenario) as linearizer:
-        shares = {share: linearizer.at(linearizer.part(share)) for share in POSTURES}
-        share = max(shares, key=lambda each: shares[each].spectral_radius)
-        edge = linearizer.part(share)
+        times = map(linearizer.part, POSTURES)
+        edge = max(times, key=lambda time: linearizer.at(time).spectral_radius)
     return find_boundaries(scenario, time=edge, adapted=False), edge
 
 

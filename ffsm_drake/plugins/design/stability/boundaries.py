@@ -107,7 +107,7 @@ def variations(scenario: Scenario) -> dict[str, Callable[[float], Scenario]]:
             f"{MASS}{name}": functools.partial(with_flexible_mass, scenario, names)
             for name, names in parts.items()
         },
-        "delay": lambda further: with_delay(scenario, scenario.sensing.delay + int(further)),
+        "delay": functools.partial(with_delay, scenario),
     }
 
 
@@ -230,8 +230,11 @@ def with_flexible_mass(scenario: Scenario, names: Collection[str], factor: float
     return dataclasses.replace(scenario, model=dataclasses.replace(scenario.model, flexible=parts))
 
 
-def with_delay(scenario: Scenario, delay: int) -> Scenario:
-    """The scenario with another delay of its sensors, control samples, unknown to its estimator."""
+def with_delay(scenario: Scenario, further: float) -> Scenario:
+    """The scenario with further control samples of delay of its sensors, unknown to its
+    estimator.
+    """
+    delay = scenario.sensing.delay + int(further)
     known = scenario.sensing.delay if scenario.estimator.delay is None else scenario.estimator.delay
     return dataclasses.replace(
         scenario,

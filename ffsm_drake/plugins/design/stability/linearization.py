@@ -71,7 +71,10 @@ class Linearizer:
         state.
         """
         # with limits
-        given, self.grip = _up_to_grasp(scenario) if approach else from_grasp(scenario)
+        given, self.grip = from_grasp(scenario)
+        if approach:  # up to the grasp, with an empty gripper
+            given = dataclasses.replace(scenario, duration=scenario.grasp_time)
+            self.grip = EMPTY
         if closed is not None:
             self.grip = Grip(closed=closed)
         self.given = timed(given, self.grip)
@@ -303,8 +306,3 @@ class Linearizer:
     def lightest(self) -> list[float]:
         """The times, s, of its motion at which a driven coordinate is lightest."""
         return self.planned.lightest(self.begin, self.end)
-
-
-def _up_to_grasp(scenario: Scenario) -> tuple[Scenario, Grip]:
-    """The scenario up to its grasp, and the empty gripper."""
-    return dataclasses.replace(scenario, duration=scenario.grasp_time), EMPTY

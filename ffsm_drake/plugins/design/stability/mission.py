@@ -78,14 +78,9 @@ class LinearVerdict:
         return max((leg.status for leg in self.legs), key=_STATUSES.index)
 
     @property
-    def sentences(self) -> tuple[str, ...]:
-        """One line for each leg."""
-        return tuple(leg.sentence for leg in self.legs)
-
-    @property
     def sentence(self) -> str:
         """The legs' lines as one."""
-        return "; ".join(self.sentences)
+        return "; ".join(leg.sentence for leg in self.legs)
 
     @property
     def is_alarm(self) -> bool:

@@ -88,18 +88,13 @@ def predict(
     Raises: the errors of ``Linearizer`` and ``Linearizer.at``.
     """
     with Linearizer(scenario, blocks=blocks) as linearizer:
-        return predict_from(linearizer, settled_after=settled_after)
-
-
-def predict_from(linearizer: Linearizer, *, settled_after: float = 5.0) -> Prediction:
-    """The prediction for a linearizer's scenario; see ``predict``."""
-    held = expected_gains(linearizer)
-    noise = predict_noise(linearizer, held)
-    return noise.with_mean(
-        *linearizer.follow(held=held),
-        period=linearizer.given.sample_time,
-        settled_after=settled_after,
-    )
+        held = expected_gains(linearizer)
+        noise = predict_noise(linearizer, held)
+        return noise.with_mean(
+            *linearizer.follow(held=held),
+            period=scenario.sample_time,
+            settled_after=settled_after,
+        )
 
 
 def predict_noise(linearizer: Linearizer, held: Mapping[str, np.ndarray]) -> Prediction:

@@ -163,16 +163,10 @@ def rehearse(scenario: Scenario, *, seeds: int = SEEDS, on_drake: bool = True) -
     return _shared(scenario, seeds, on_drake)
 
 
-def share_diverged(scenario: Scenario, *, seeds: int) -> float:
-    """Return the share of noise sequences with divergence. Errors: see ``rehearse``."""
-    (share,) = shares_diverged([scenario], seeds=seeds)
-    if isinstance(share, Exception):
-        raise share
-    return share
-
-
 def shares_diverged(scenarios: Sequence[Scenario], *, seeds: int) -> list[float | Exception]:
-    """``share_diverged`` of several scenarios, or its error."""
+    """Return the share of noise sequences with divergence of each scenario, or its error (see
+    ``rehearse``).
+    """
     found, runs = dict[int, float | Exception](), dict[int, list[Scenario]]()
     for index, scenario in enumerate(scenarios):
         try:
