@@ -3,6 +3,7 @@
 A user-supplied law must return the same for the same sample and memory, in any order of calls.
 """
 
+import copy
 import ctypes
 import functools
 import itertools
@@ -12,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.plugins.compiled.blocks import Blocks
+from ffsm_drake.plugins.compiled.blocks import Blocks, Places, laid, sizes_of
 from ffsm_drake.systems.controllers import SampledController
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 
@@ -31,34 +32,14 @@ class Laws:
     ) -> None:
         """Args: the loop; of each lane its controller, and a detector with its memory."""
         self.stopped: BaseException | None = None  # what ended the runs
-        self._blocks, self._controllers = blocks, controllers
-        inputs = blocks.law_inputs
-        memory = {name: value.size for name, value in blocks.memory.items()}
-        kept = sum(memory.values())
-        self._num_made = blocks.nv + kept
-        own = parts({name: size for name, (*_, size) in inputs.items()} | memory)
-        self._start = np.concatenate([np.zeros(0), *map(np.ravel, blocks.memory.values())])
-        self._memory = {name: own.pop(name) for name in memory}
-        read = sum(size for *_, size in inputs.values())
-        self._before = slice(read, read + kept)  # the law's memory, in a row
-        self._is_watched = blocks.watch is not None
-        self._inputs = own
-        self._after = parts(memory, first=blocks.nv)
-        self._detectors = list(detectors)
-        looked, found = blocks.detector_inputs, blocks.detector_outputs
-        if not detectors:
-            looked = found = {}
-        self._looks = parts(
-            {name: size for name, (*_, size) in looked.items()}, first=self._before.stop
-        )
-        self._found = parts(
-            {name: size for name, (*_, size) in found.items()}, first=self._num_made
-        )
-        self._cells_of = (
-            [*inputs.values(), ("memory", 0, kept), *looked.values()],
-            [("generalized_force", 0, blocks.nv), ("memory_after", 0, kept), *found.values()],
-            [(name, 0, 1) for name in ("lost", "is_first", "watched")],
-        )
+        self._blocks, self._controllers, self._detectors = blocks, controllers, [*detectors]
+        sizes = sizes_of(blocks.memory)
+        self._start = {name: np.ravel(value) for name, value in blocks.memory.items()}
+        self._inputs, self._memory = blocks.law_inputs, laid("memory", sizes)
+        self._made = laid("memory_after", sizes)
+        self._made["generalized_force"] = ("generalized_force", 0, blocks.nv)
+        self._looks = blocks.detector_inputs if detectors else {}
+        self._found = blocks.detector_outputs if detectors else {}
 
     def function(self, cells: np.ndarray, places: Mapping[str, int]) -> Any:
         """A function of the number of a sample (and another argument), which returns 0 if all runs
@@ -66,66 +47,64 @@ class Laws:
 
         Args: the cells (n, width), and the place of each array among them.
         """
-        entries = [
-            np.concatenate([places[name] + first + np.arange(size) for name, first, size in group])
-            for group in self._cells_of
-        ]
-        return KIND(functools.partial(self._called, cells, entries))
+        return KIND(functools.partial(self._called, cells, places))
 
     def _called(
-        self, cells: np.ndarray, entries: Sequence[np.ndarray], sample: int, other: Any
+        self, cells: np.ndarray, places: Mapping[str, int], sample: int, other: Any
     ) -> bool:
-        reads, writes, (lost, is_first, restart) = entries
+        def views(of: Places) -> dict[str, np.ndarray]:
+            return {
+                name: cells[places[cell] + first :][:size, lane]
+                for name, (cell, first, size) in of.items()
+            }
+
         try:
-            rows, made = (
-                np.ascontiguousarray(cells[reads].T),
-                np.full((cells.shape[1], writes.size), np.nan),
-            )
-            are_lost, are_first = cells[[lost, is_first]] != 0.0
-            if self._is_watched:
-                rows[cells[restart] != 0.0, self._before] = self._start
             for lane in range(len(self._controllers)):
-                if not are_lost[lane]:
-                    self.step(lane, rows[lane], made[lane], is_first=are_first[lane])
-            cells[writes] = made.T
+                lost, is_first, restart = (
+                    cells[places[name], lane] != 0.0 for name in ("lost", "is_first", "watched")
+                )
+                if lost:
+                    continue
+                inputs, looks, memory = (
+                    {name: view.copy() for name, view in views(of).items()}
+                    for of in (self._inputs, self._looks, self._memory)
+                )
+                if self._blocks.watch is not None and restart:
+                    memory = copy.deepcopy(self._start)
+                found = self._look(lane, looks) if self._detectors else {}
+                inputs |= {name: found[name] for name in inputs.keys() & found.keys()}
+                made: Arrays = {}
+                if not np.any(found.get("isolated", ())):
+                    made = self.step(lane, inputs, memory, bool(is_first))
+                for of, results in ((self._found, found), (self._made, made)):
+                    for name, view in views(of).items():
+                        view[:] = np.ravel(results.get(name, np.nan))
             return True
         except BaseException as error:  # Python prints and forgets what a callback raises
             self.stopped = error
             return False
 
-    def step(self, lane: int, row: np.ndarray, made: np.ndarray, *, is_first: bool) -> None:
-        """Call the law of a lane.
+    def step(self, lane: int, inputs: Arrays, memory: Arrays, is_first: bool) -> Arrays:
+        """Call the law of a lane. Return its force and memory by name; nothing if it fails.
 
-        Args:
-          lane: its number.
-          row: what it reads.
-          made: gets its force and memory, or NaN: it fails.
-          is_first: whether no sample was before, or a grasp since.
+        Args: its number; what it reads; its memory; whether no sample was before, or a grasp since.
         """
-        inputs = {name: row[part] for name, part in self._inputs.items()}
-        memory = {name: row[part] for name, part in self._memory.items()}
         try:
-            if self._detectors and not self._look(lane, row, made, inputs):
-                return
             force, after = self._controllers[lane].step(inputs, memory, is_first=is_first)
-            made[: self._blocks.nv] = force
-            for name, part in self._after.items():
-                made[part] = after[name]
+            return {"generalized_force": force, **after}
         except Exception:  # Drake's run shows it
-            made[:] = np.nan
+            return {}
 
-    def _look(self, lane: int, row: np.ndarray, made: np.ndarray, inputs: dict[str, Any]) -> bool:
-        """Call the detector of a lane. False: it isolates a unit."""
+    def _look(self, lane: int, looks: Arrays) -> Arrays:
+        """Call the detector of a lane. Return what it finds."""
         detector, before = self._detectors[lane]
-        looks = {name: row[part] for name, part in self._looks.items()}
-        outputs, after = detector.step(looks, before, Now(0.0))
+        try:
+            outputs, after = detector.step(looks, before, Now(0.0))
+        except Exception:  # as of the law
+            return {"isolated": np.ones(1)}
         self._detectors[lane] = detector, after
         outputs = {**outputs, "abort_request": after["abort_request"]}  # at the next sample
-        for name, part in self._found.items():
-            made[part] = outputs[name]
-            if name in inputs:
-                inputs[name] = made[part]
-        return not np.any(outputs.get("isolated", ()))
+        return {name: np.array(values, float) for name, values in outputs.items()}
 
 
 class Trial(Laws):
@@ -142,24 +121,22 @@ class Trial(Laws):
         before = [self._start] * len(planned)
         for sample in range(_TRIED):
             for lane, rows in enumerate(planned):
-                row = np.concatenate([self._drawn(random, rows), before[lane]])
-                results = np.empty(self._num_made)
-                self.step(lane, row.copy(), results, is_first=sample == 0)
-                if np.isfinite(results).all():
-                    before[lane] = results[self._num_made - self._start.size :]
-                made.append((lane, sample == 0, row.tolist(), results.tolist()))
-        return json.dumps(made)
+                given = lane, self._drawn(random, rows), before[lane], sample == 0
+                results = copy.deepcopy(self.step(*copy.deepcopy(given)))
+                if results and all(np.isfinite(values).all() for values in results.values()):
+                    before[lane] = {name: results[name] for name in self._start}
+                made.append((given, results))
+        return _as_json(made)
 
     def repeats(self, calls: str) -> str:
         """Whether the same calls in the opposite order have the same results, as JSON."""
-        for lane, is_first, row, expected in reversed(json.loads(calls)):
-            results = np.empty(self._num_made)
-            self.step(lane, np.array(row), results, is_first=is_first)
-            if not np.array_equal(results, expected, equal_nan=True):
+        for (lane, *of, is_first), expected in reversed(json.loads(calls)):
+            inputs, memory = ({name: np.array(own) for name, own in each.items()} for each in of)
+            if _as_json(self.step(lane, inputs, memory, is_first)) != json.dumps(expected):
                 return "false"
         return "true"
 
-    def _drawn(self, random: np.random.Generator, rows: Mapping[str, np.ndarray]) -> np.ndarray:
+    def _drawn(self, random: np.random.Generator, rows: Mapping[str, np.ndarray]) -> Arrays:
         """Inputs of a law, off the plan by any order of magnitude."""
         nq, nv = self._blocks.nq, self._blocks.nv
         desired, other = random.choice(rows["reference"], 2)
@@ -168,10 +145,13 @@ class Trial(Laws):
         made = {
             "estimated_state": state, "desired_state": desired[: nq + nv],
             "desired_acceleration": desired[nq + nv :], "applied_force": random.normal(size=nv),
-            "measurement_is_new": random.integers(2, size=nq + nv),
+            "measurement_is_new": 1.0 * random.integers(2, size=nq + nv),
             "desired_frame": random.choice(rows.get("frame", np.zeros((1, 0)))),
         }  # fmt: skip
-        return np.concatenate([made[name] for name in self._inputs])
+        return {name: made[name] for name in self._inputs}
+
+
+_as_json = functools.partial(json.dumps, default=np.ndarray.tolist)
 
 
 def parts(sizes: Mapping[Any, int], first: int = 0) -> dict[Any, slice]:

@@ -129,7 +129,9 @@ class Kernel:
             if signals is None or name in signals
         }
         read = [self._read_from(rows[lane], begin[lane].sample, samples, ends) for lane in lanes]
-        kept = [_arrays(sizes, samples + 1) for _ in lanes]
+        kept = [
+            {name: np.empty((samples + 1, size)) for name, size in sizes.items()} for _ in lanes
+        ]
         places = [[own[name].ctypes.data for own in read] for name in self.read]
         places += [
             [own[name].ctypes.data if name in own else 0 for own in kept]
@@ -187,14 +189,6 @@ class Kernel:
             own("measurement", self.blocks.results["measurement"]),
             left,
         )
-
-
-def _arrays(sizes: Mapping[str, int], samples: int) -> dict[str, np.ndarray]:
-    """Arrays (samples, size) by name, in one piece of memory."""
-    whole, found = np.empty(samples * sum(sizes.values())), dict[str, np.ndarray]()
-    for name, size in sizes.items():
-        found[name], whole = whole[: samples * size].reshape(samples, size), whole[samples * size :]
-    return found
 
 
 class Step:
