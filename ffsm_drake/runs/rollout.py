@@ -13,6 +13,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import (
     LogVectorOutput,
     Multiplexer,
+    VectorLog,
     VectorLogSink,
 )
 
@@ -183,12 +184,11 @@ class Rollout:
         # afterwards where a monitor would have stopped the run.
         watched = not self._checked_in_log
         interrupted, failure, advance_time = self._advance(monitor, leg, watched=watched)
-        if failure is not None and self._num_logged() < 2:
+        if failure is not None and self._log.num_samples() < 2:
             raise failure
-        last = None if watched else self._first_beyond(monitor.bounded)
+        last = None if watched else self._first_beyond(monitor)
         if last is not None:  # the log up to there is what a monitor would have left
             interrupted, failure = False, None
-            monitor.judge(*self._logged(last))
         times, series = self._read_log(
             unfinished=interrupted or failure is not None or leg.last is not None, last=last
         )
@@ -311,22 +311,22 @@ class Rollout:
             f"integration_scheme or accuracy ({cause_of(error)})",
         ) from error
 
-    def _num_logged(self) -> int:
-        return int(self._logger.FindLog(self._simulator.get_context()).num_samples())
+    @property
+    def _log(self) -> VectorLog:
+        """The log of the present run."""
+        return self._logger.FindLog(self._simulator.get_context())
 
-    def _logged(self, sample: int) -> tuple[float, np.ndarray]:
-        """Time and known state [q; v] at a sample of the log."""
-        log = self._logger.FindLog(self._simulator.get_context())
-        return float(log.sample_times()[sample]), log.data()[self._rows["state"], sample].copy()
-
-    def _first_beyond(self, bounded: Callable[[np.ndarray], np.ndarray]) -> int | None:
+    def _first_beyond(self, monitor: Monitor) -> int | None:
         """Return the first sample of the log at which the known state is not within its bounds, or
-        is not finite.
+        is not finite, which ``monitor`` then reports.
         """
-        log = self._logger.FindLog(self._simulator.get_context())
-        states = log.data()[self._rows["state"]].T
-        beyond = np.flatnonzero(~bounded(states))
-        return int(beyond[0]) if beyond.size else None
+        states = self._log.data()[self._rows["state"]].T
+        beyond = np.flatnonzero(~monitor.bounded(states))
+        if not beyond.size:
+            return None
+        first = int(beyond[0])
+        monitor.judge(float(self._log.sample_times()[first]), states[first].copy())
+        return first
 
     def _read_log(
         self, *, unfinished: bool, last: int | None = None
@@ -340,31 +340,23 @@ class Rollout:
         loop, context = self.loop, self._simulator.get_context()
         held = {*_HELD, *(each.name for each in signals_of(loop.parts) if each.held)}
         held.update(*(placed.part.logged for placed in loop.parts.values()))
-        log = self._logger.FindLog(context)
-        times, rows, parts = log.sample_times().copy(), log.data(), self._rows
-        end = times.size if last is None else last + 1
-        times = times[:end]
-        if unfinished and end == 0:
+        times, rows = self._log.sample_times().copy(), self._log.data()
+        count = times.size if last is None else last + 1
+        if unfinished and count == 0:
             raise KeyboardInterrupt
-        if unfinished and end > 1:
-            # Perhaps before the update of the last sample, which is therefore left out.
-            series = {
-                name: rows[part, 1:end] if name in held else rows[part, : end - 1]
-                for name, part in parts.items()
-            }
-            return times[:-1], {name: values.T.copy() for name, values in series.items()}
+        if unfinished and count > 1:
+            count -= 1  # perhaps before the update of the last sample, which is therefore left out
         series = {}
-        for name, part in parts.items():
+        for name, part in self._rows.items():
             if name not in held:
-                series[name] = rows[part, :end].T.copy()
+                series[name] = rows[part, :count].T.copy()
                 continue
             # Sample k is entry k + 1 of the log; that of the last sample stands in the context.
-            if end < rows.shape[1]:
-                now = rows[part, end]
-            else:
-                now = loop.diagram.GetOutputPort(name).Eval(context)
-            series[name] = np.vstack([rows[part, 1:end].T, now])
-        return times, series
+            found = rows[part, 1 : count + 1].T
+            if len(found) < count:
+                found = np.vstack([found, loop.diagram.GetOutputPort(name).Eval(context)])
+            series[name] = found.copy()
+        return times[:count], series
 
 
 def _make_log(
