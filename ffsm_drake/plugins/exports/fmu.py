@@ -8,7 +8,6 @@ Python of its host, which must have this package.
 
 import abc
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,6 @@ from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import ControlLaw, make_law
 from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.registry import find_factory
-from ffsm_drake.systems.setup import BlockSetup
 
 try:
     from pythonfmu3 import (
@@ -161,18 +159,10 @@ class _Slave(Fmi3Slave):
             raise FfsmError(f"this step must begin at t = {begin:g} s, not {current_time:g}")
 
 
-class _Outside(ControlLaw):
-    """A law whose force comes from another thread."""
-
-    def __init__(self, ask: Callable[[Sample], np.ndarray]) -> None:
-        self._ask = ask
-
-    def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        return self._ask(sample), state
-
-
-class _Course:
-    """The run of a plant; it outlives no slave, and refers to none."""
+class _Course(ControlLaw):
+    """The run of a plant, and its law, whose force the master gives; it outlives no slave, and
+    refers to none.
+    """
 
     def __init__(self) -> None:
         self.aside = Aside()
@@ -182,16 +172,11 @@ class _Course:
         """Keep the diagram of a run that begins."""
         self.loop = loop, context
 
-    def make_law(self, setup: BlockSetup) -> ControlLaw:
-        """The law whose force the master gives."""
-        return _Outside(self._ask)
-
-    def _ask(self, sample: Sample) -> np.ndarray:
-        """The force at a sample; within the run's thread."""
+    def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
+        """Ask for the force at a sample; within the run's thread."""
         assert self.loop is not None
         loop, context = self.loop
-        force: np.ndarray = self.aside.ask((sample, loop.whole_state(context).copy()))
-        return force
+        return self.aside.ask((sample, loop.whole_state(context).copy())), state
 
 
 class PlantSlave(_Slave):
@@ -221,7 +206,7 @@ class PlantSlave(_Slave):
         changed = (f"payload.truth.mass={self.payload_mass!r}", f"random_seed={self.seed}")
         scenario = load_scenario(self.file, changed)
         course = self._course
-        rollout = Rollout(scenario, blocks={"controller": course.make_law})
+        rollout = Rollout(scenario, blocks={"controller": lambda setup: course})
 
         def run() -> RunLog:
             return rollout.run(leg=Leg(begin=course.begin))
