@@ -272,6 +272,21 @@ class Scenario:
         return self.capture is not None
 
     @property
+    def controller_key(self) -> str:
+        """Key of the controller in ``controllers``."""
+        return controller_key(self.controller)
+
+    @property
+    def gains(self) -> dict[str, Any]:
+        """Settings of the controller, as given in ``controllers``."""
+        return self.controllers.get(self.controller_key, {})
+
+    def with_gains(self, gains: dict[str, Any]) -> "Scenario":
+        """Return the scenario with other settings of its controller."""
+        controllers = {**self.controllers, self.controller_key: gains}
+        return replace(self, controllers=controllers)
+
+    @property
     def grasp_time(self) -> float:
         """Time of the grasp, s; 0 for a target held from the start."""
         if self.approach is None:

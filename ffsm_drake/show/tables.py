@@ -9,7 +9,6 @@ from ffsm_drake.common.numbers import NONE
 from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.runs.metrics import METRICS
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.scenario import controller_key
 from ffsm_drake.show.table_files import Column
 from ffsm_drake.systems.part import Figure
 
@@ -122,7 +121,7 @@ def frame_lines(record: RunRecord) -> list[str]:
     name = record.scenario.model.end_effector if goal is None or goal.frame is None else goal.frame
     final, largest = _final_and_largest(figures)
     lines = [f"the frame {name} ends {final} from its reference (at most {largest})"]
-    gains = record.scenario.controllers.get(controller_key(record.scenario.controller), {})
+    gains = record.scenario.gains
     smallest, damping = (
         figures.get("smallest_singular_value"),
         (gains.get("damping") or {}).get("all", 0.0),

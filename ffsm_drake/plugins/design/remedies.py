@@ -25,7 +25,7 @@ from ffsm_drake.plugins.design.stability.mission import LegVerdict, linear_verdi
 from ffsm_drake.plugins.design.stability.one_axis import tolerated_eta
 from ffsm_drake.plugins.design.stability.rehearsal import MANY, shares_diverged
 from ffsm_drake.runs.rollout import make_rollout
-from ffsm_drake.scenario import Scenario, controller_key, override_scenario
+from ffsm_drake.scenario import Scenario, override_scenario
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.controllers import complete_gains, declared_gains
 from ffsm_drake.systems.part import Advice
@@ -192,8 +192,8 @@ def _lighter(scenario: Scenario) -> Iterator[Changes]:
 
 def _smaller(scenario: Scenario, chosen: Collection[str]) -> Iterator[Changes]:
     """Chosen gains of the law, as a whole; a K_s without a bound gets one."""
-    key = controller_key(scenario.controller)
-    gains = {name: x for name, x in scenario.controllers.get(key, {}).items() if name in chosen}
+    key = scenario.controller_key
+    gains = {name: x for name, x in scenario.gains.items() if name in chosen}
     for factor in _LESS if gains else ():
         yield {
             f"controllers.{key}.{name}": _scaled(scenario, x, factor) for name, x in gains.items()

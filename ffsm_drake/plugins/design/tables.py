@@ -17,7 +17,7 @@ from ffsm_drake.plugins.design.stability.boundaries import (
 from ffsm_drake.plugins.design.stability.disk import DiskMargins
 from ffsm_drake.plugins.design.stability.linear_loop import radius_told
 from ffsm_drake.plugins.design.stability.margins import AxisMargins, Margins
-from ffsm_drake.scenario import Scenario, controller_key
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.style import label_of
 from ffsm_drake.show.tables import aligned
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
@@ -280,7 +280,7 @@ def design_table(found: Design) -> str:
         ["rms error, rad or m", *(f"{after[name]:.3g}" for name in names)],
         ["current gains", *(f"{before[name]:.3g}" for name in names)],
     ]
-    for name, gain in scenario.controllers.get(controller_key(scenario.controller), {}).items():
+    for name, gain in scenario.gains.items():
         rows.append([name, *(_gain_cell(gain, name_of_group) for name_of_group in names)])
     if scenario.estimator.kind != "one_sample" and scenario.controller in PAPER_LAWS:
         rows.append(["walk q_N", *(_gain_cell(scenario.estimator.walk, name) for name in names)])
@@ -349,7 +349,7 @@ def design_data(found: Design) -> dict[str, Any]:
     return {
         "controller": scenario.controller,
         "estimator": scenario.estimator.kind,
-        "gains": complete_gains(scenario).controllers.get(controller_key(scenario.controller), {}),
+        "gains": complete_gains(scenario).gains,
         "kept": found.kept,
         "ended_by": found.ended_by,
         "active_constraint": found.active_constraint,

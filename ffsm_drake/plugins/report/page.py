@@ -28,7 +28,7 @@ from ffsm_drake.runs.ending import (
 from ffsm_drake.runs.limits import broken_limits, run_remarks
 from ffsm_drake.runs.reading import IDENTIFIER
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.scenario import Scenario, controller_key
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.chart import Curve
 from ffsm_drake.show.page import lines_of, render
 from ffsm_drake.show.results import Result, attempt, results_of
@@ -179,7 +179,7 @@ def _heading(records: Sequence[RunRecord], title: str | None) -> Json:
         "kicker": "; ".join(descriptions) if named else "free-flying space manipulator",
         "identifier": IDENTIFIER,
         "shown": [
-            (controller_key(record.scenario.controller), record.identifier)
+            (record.scenario.controller_key, record.identifier)
             for record in records
             if record.identifier
         ],

@@ -7,7 +7,7 @@ from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
 from ffsm_drake.common.plugins import service
-from ffsm_drake.scenario import CommandFilter, Scenario, controller_key
+from ffsm_drake.scenario import CommandFilter, Scenario
 from ffsm_drake.scenario.contacts import closing_contacts
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
@@ -58,9 +58,11 @@ def controller_names() -> tuple[str, ...]:
 
 def controller_setup(scenario: Scenario, nominal: PlantModel) -> BlockSetup:
     """Return the setup of the scenario's controller, with a model of the driven coordinates."""
-    name, nominal = controller_key(scenario.controller), driven_model(nominal)
     return BlockSetup(
-        name=name, scenario=scenario, nominal=nominal, settings=scenario.controllers.get(name, {})
+        name=scenario.controller_key,
+        scenario=scenario,
+        nominal=driven_model(nominal),
+        settings=scenario.gains,
     )
 
 
@@ -129,9 +131,9 @@ def gain_vectors(scenario: Scenario, coordinates: Coordinates) -> dict[str, Any]
     Empty for a controller that declares none. Raises ScenarioError and BlockError as
     ``make_controller`` does.
     """
-    factory, name = controller_factory(scenario), controller_key(scenario.controller)
+    factory = controller_factory(scenario)
     return (
-        gain_values(factory, scenario.controllers.get(name, {}), coordinates, name=name)
+        gain_values(factory, scenario.gains, coordinates, name=scenario.controller_key)
         if gains_of(factory)
         else {}
     )
@@ -144,15 +146,14 @@ def declared_gains(scenario: Scenario) -> dict[str, Gain]:
 
 def complete_gains(scenario: Scenario) -> Scenario:
     """Return the scenario with all gains of its controller written out, including defaults."""
-    declared, key = declared_gains(scenario), controller_key(scenario.controller)
+    declared, given = declared_gains(scenario), scenario.gains
     if not declared:
         return scenario
-    given = scenario.controllers.get(key, {})
     gains = {
         name: complete_gain(item, *([given[name]] if name in given else []))
         for name, item in declared.items()
     }
-    return dataclasses.replace(scenario, controllers={**scenario.controllers, key: gains})
+    return scenario.with_gains(gains)
 
 
 def gains_schema() -> dict[str, Any]:
@@ -180,7 +181,7 @@ def gains_schema() -> dict[str, Any]:
 
 def _check_other_gains(scenario: Scenario, coordinates: Coordinates) -> None:
     """Raise ScenarioError for a wrong gain of another controller, or a misspelt controller."""
-    names, own = controller_names(), controller_key(scenario.controller)
+    names, own = controller_names(), scenario.controller_key
     for key, given in scenario.controllers.items():
         if key in names and key != own:
             gain_values(find_factory("controller", key), given, coordinates, name=key)

@@ -18,7 +18,6 @@ from ffsm_drake.plugins.estimators.filter_gains import kalman_gain
 from ffsm_drake.scenario import (
     Estimator,
     Scenario,
-    controller_key,
     scenario_from_dict,
     scenario_to_dict,
 )
@@ -171,8 +170,7 @@ class AxisSearch:
                 for k, name in enumerate(("position_noise", "velocity_noise")):
                     estimator[name] = {group: axis.assumed[k] for group, axis in axes}
         designed = {group: axis.gains(point[group]) for group, axis in axes}
-        key = controller_key(self._scenario.controller)
-        gains = data["controllers"].setdefault(key, {})
+        gains = data["controllers"].setdefault(self._scenario.controller_key, {})
         for name in next(iter(designed.values())):
             gains[name] = {group: rounded(each[name]) for group, each in designed.items()}
         return scenario_from_dict(data)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ffsm_drake.plugins.design.gains.requirement import DesignPoint, Requirement
 from ffsm_drake.plugins.design.rounding import rounded_by_group
-from ffsm_drake.scenario import Scenario, controller_key, scenario_from_dict, scenario_to_dict
+from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import declared_gains, make_law
 
@@ -100,7 +100,7 @@ def _scaled(scenario: Scenario, name: str, factors: Mapping[str, float]) -> Scen
     coordinates = make_nominal_plant(scenario).coordinates
     factor = coordinates.vector(factors, key=name, default=1.0)
     data: dict[str, Any] = scenario_to_dict(scenario)
-    gains = data["controllers"][controller_key(scenario.controller)]
+    gains = data["controllers"][scenario.controller_key]
     place = gains if name in gains else data["estimator"]
     for key in (name, f"{name.removesuffix('_initial')}_max"):
         if place.get(key) is not None:

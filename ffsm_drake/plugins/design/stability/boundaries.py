@@ -16,7 +16,7 @@ from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.stability.adaptation import adapts, reached_gains
 from ffsm_drake.plugins.design.stability.linear_loop import NotLinear, TooLarge
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
-from ffsm_drake.scenario import Scenario, controller_key, scenario_from_dict, scenario_to_dict
+from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
 from ffsm_drake.systems.controllers import complete_gains, declared_gains
 
 LARGEST_FACTOR = 30.0
@@ -180,15 +180,14 @@ def with_gains(scenario: Scenario, factor: float) -> Scenario:
     """The scenario with every feedback gain of its controller times a factor. Its gains must be
     complete.
     """
-    feedback, key = feedback_gains(scenario), controller_key(scenario.controller)
+    feedback = feedback_gains(scenario)
 
     def scale(name: str, value: Any) -> Any:
         if name not in feedback or value is None:
             return value
         return {each: factor * number for each, number in value.items()}
 
-    gains = {name: scale(name, value) for name, value in scenario.controllers.get(key, {}).items()}
-    return dataclasses.replace(scenario, controllers={**scenario.controllers, key: gains})
+    return scenario.with_gains({name: scale(name, x) for name, x in scenario.gains.items()})
 
 
 def with_nominal_payload(scenario: Scenario, factor: float) -> Scenario:

@@ -11,7 +11,7 @@ import numpy as np
 from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
-from ffsm_drake.scenario import Scenario, controller_key, override_scenario
+from ffsm_drake.scenario import Scenario, override_scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, tightest
 from ffsm_drake.spacecraft.nominal import make_true_plant
@@ -200,11 +200,10 @@ def _changed_gain(
     scenario: Scenario, name: str, group: str, value: float
 ) -> tuple[str, float | dict[str, float]]:
     """The key and the value that give a gain of a group a value."""
-    key = controller_key(scenario.controller)
-    place, given = f"controllers.{key}.{name}", scenario.controllers.get(key, {}).get(name, {})
+    place, given = f"controllers.{scenario.controller_key}.{name}", scenario.gains.get(name, {})
     if isinstance(given, Mapping) and not any(each.startswith(f"{group}_") for each in given):
         return f"{place}.{group}", value
-    complete = complete_gains(scenario).controllers[key][name] or {}
+    complete = complete_gains(scenario).gains[name] or {}
     others = {each: x for each, x in complete.items() if not each.startswith(f"{group}_")}
     return place, {**others, group: value}
 

@@ -33,7 +33,7 @@ from ffsm_drake.plugins.design.stability.one_axis import (
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
 from ffsm_drake.plugins.design.stability.rehearsal import Rehearsal, rehearse
 from ffsm_drake.plugins.flexible.bodies import VibrationMode
-from ffsm_drake.scenario import Scenario, checked, controller_key
+from ffsm_drake.scenario import Scenario, checked
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers.checked import reaching_gain_of
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
@@ -336,5 +336,5 @@ def adaptation_remark(linearizer: Linearizer) -> str:
     bound = f"may grow to {largest:g} 1/s" if math.isfinite(largest) else "is not bounded"
     return (
         f"K_s {bound}, but the sampled loop is stable only below about {limit:.0f} 1/s; set "
-        f"controllers.{controller_key(scenario.controller)}.k_s_max below that"
+        f"controllers.{scenario.controller_key}.k_s_max below that"
     )
