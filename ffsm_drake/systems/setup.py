@@ -31,8 +31,8 @@ class _Settings(dict[str, Any]):
 class CompositeBlock(Diagram):
     """A block of several systems, connected by signals; it passes the initial state to them.
 
-    An input port reads the signal of its name: the last output so named among the systems before,
-    else an input of the block, else an output of a later system.
+    An input port reads the signal of its name: the last output so named among the systems before
+    its own, else an input of the block, else an output of a later system.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class CompositeBlock(Diagram):
                 made[own.get(port_name, port_name)] = port
         for signal, port in waiting:
             builder.Connect(made[signal], port)
-        for signal in outputs or made.keys() - {*inputs}:
+        for signal in outputs or [each for each in made if each not in inputs]:
             builder.ExportOutput(made[signal], signal)
         builder.BuildInto(self)
         self.set_name(name)
