@@ -5,7 +5,6 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
 
 from ffsm_drake.common.lifetime import weak_callback
@@ -110,13 +109,6 @@ class OperatorInputs(LeafSystem):
 
     def _calc_jacobian(self, q: np.ndarray) -> np.ndarray:
         """Jacobian (3, nv) of the velocity of the payload's centre of mass in the world frame."""
-        plant, context = self._model.plant, self._model.context
-        plant.SetPositions(context, q)
-        return plant.CalcJacobianTranslationalVelocity(
-            context,
-            JacobianWrtVariable.kV,
-            self._payload_frame,
-            self._center_of_mass,
-            plant.world_frame(),
-            plant.world_frame(),
-        )
+        model, frame = self._model, self._payload_frame
+        in_frame = model.calc_point_jacobian(q, frame, self._center_of_mass)
+        return model.calc_frame_rotation(q, frame) @ in_frame[3:]

@@ -246,15 +246,10 @@ class ResolvedMotion(MomentumMotion):
         q = q.copy()
         q[:, :4] /= np.sqrt((q[:, :4] * q[:, :4]).sum(axis=1, keepdims=True))
         stack = self._stack(q)
-        jacobian, found = np.empty((len(q), 6, q.shape[1] - 1)), np.empty((len(q), 7))
-        for i, one in enumerate(q):
-            jacobian[i] = self._model.calc_jacobian(one, self._frame)
-            X_WF = self._frame.CalcPoseInWorld(self._model.context)
-            found[i] = *X_WF.rotation().ToQuaternion().wxyz(), *X_WF.translation()
-        error = position_errors(pose, found)[:, self._task]
+        jacobian = self._model.calc_jacobian(q, self._frame)[:, self._task]
+        error = position_errors(pose, self._model.calc_frame_pose(q, self._frame))[:, self._task]
         feedback = self._goal.feedback * error
         feedback /= np.sqrt(1.0 + (feedback * feedback).sum(axis=1, keepdims=True) / self._most**2)
-        jacobian = jacobian[:, self._task]
         v = np.zeros((len(q), q.shape[1] - 1))  # with the joints at rest
         if self._moves:
             v = stack.velocity(np.hstack([base, v[:, -count:]]), self._momentum)

@@ -15,16 +15,20 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from pydrake.math import RigidTransform, RotationMatrix
 from scipy.interpolate import BPoly, BSpline, make_interp_spline
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import memoized
-from ffsm_drake.common.so3 import matrix_of, quaternion_of, rotation_error
+from ffsm_drake.common.so3 import turned_by
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Loop, newton_step
 from ffsm_drake.scenario import Reference, Scenario
 from ffsm_drake.scenario.contacts import ALL_HANDS, closing_times
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES, halves
+from ffsm_drake.spacecraft.coordinates import (
+    NUM_BASE_POSITIONS,
+    NUM_BASE_VELOCITIES,
+    halves,
+    position_error,
+)
 from ffsm_drake.spacecraft.grasp import plastic_impact
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, files_read, find_body
@@ -177,58 +181,47 @@ class _Follower:
         self.whole_chain = ClosedChain(model, scenario, ALL_HANDS, true=False)
         self.later = [loop for loop in self.whole_chain.loops if loop.contact.closes]
         self._chain = ClosedChain(model, scenario, true=False)
-        self._target = find_body(model.plant, scenario.payload.body, key="payload.body")
+        body = find_body(model.plant, scenario.payload.body, key="payload.body")
+        self._target = body.body_frame()
         postures = [self._posture(scenario, each) for each in ("initial_posture", "target_posture")]
         self.guesses = postures  # for the arms of late hands
         self._start = self._chain.closed(postures[0])
-        model.plant.SetPositions(model.context, self._start)
-        self._first = self._target.EvalPoseInWorld(model.context)
+        self._first = model.calc_frame_pose(self._start, self._target)
         self._blend, self._end = None, end
         # rotation vectors and ways, by the blend and by the excursion of the velocity at the start
         self._turns, self._ways = np.zeros((2, 2, 3))
         if velocity is not None:
             self._blend = Blend(scenario.reference, end)
             arm = self._chain.carrying
-            self._turns[1], self._ways[1] = np.split(
-                self._jacobian(self._start)[:, arm] @ velocity[arm], 2
-            )
+            jacobian = model.calc_jacobian(self._start, self._target)[:, arm]
+            self._turns[1], self._ways[1] = np.split(jacobian @ velocity[arm], 2)
         if scenario.reference.goal == "stop":
             time = 0.0 if self._blend is None else self._blend.stopping_time
             self._turns[0], self._ways[0] = time * self._turns[1], time * self._ways[1]
         else:
-            model.plant.SetPositions(model.context, postures[1])
-            last = self._target.EvalPoseInWorld(model.context)
-            self._turns[0] = rotation_error(_quaternion(last), _quaternion(self._first))
-            self._ways[0] = last.translation() - self._first.translation()
+            last = model.calc_frame_pose(postures[1], self._target)
+            self._turns[0], self._ways[0] = np.split(position_error(last, self._first), 2)
 
     def _posture(self, scenario: Scenario, key: str) -> np.ndarray:
         """A configuration with the base at the origin."""
         return self._rooted(configuration(self.model.plant, getattr(scenario, key), key=key))
-
-    def _jacobian(self, q: np.ndarray) -> np.ndarray:
-        """The Jacobian (6, nv) of the target's frame."""
-        return self.model.calc_jacobian(q, self._target.body_frame())
 
     @staticmethod
     def _rooted(q: np.ndarray) -> np.ndarray:
         """q with the base at the origin."""
         return np.concatenate([[1.0], np.zeros(6), q[NUM_BASE_POSITIONS:]])
 
-    def _pose(self, s: float) -> RigidTransform:
-        """The target's pose at a path parameter, or a time."""
+    def _pose(self, s: float) -> np.ndarray:
+        """The target's pose (7; quaternion, position) at a path parameter, or a time."""
         along = np.array([s, 0.0])
         if self._blend is not None:
             along[:] = self._blend.blend(np.array([s]))[0][0], self._blend.stop(np.array([s]))[0][0]
-        turn = RotationMatrix(matrix_of(quaternion_of(along @ self._turns)))
-        place = self._first.translation() + along @ self._ways
-        return RigidTransform(turn @ self._first.rotation(), place)
+        turn, place = np.split(self._first, [4])
+        return np.concatenate([turned_by(along @ self._turns, turn), place + along @ self._ways])
 
     def _off(self, s: float, q: np.ndarray) -> np.ndarray:
         """Rotation vector and position (6) from the target's pose to that at s."""
-        self.model.plant.SetPositions(self.model.context, q)
-        X, wanted = self._target.EvalPoseInWorld(self.model.context), self._pose(s)
-        turn = rotation_error(_quaternion(wanted), _quaternion(X))
-        return np.concatenate([turn, wanted.translation() - X.translation()])
+        return position_error(self._pose(s), self.model.calc_frame_pose(q, self._target))
 
     def error(self, s: np.ndarray, joints: np.ndarray) -> float:
         """The largest error (m, rad) of the target's pose or a gap, for joints (m, n) at s (m)."""
@@ -255,7 +248,7 @@ class _Follower:
         for _ in range(_STEPS):
             if np.abs(off).max() < _REACHED:
                 break
-            q[arm + 1] += newton_step(self._jacobian(q)[:, arm], off)
+            q[arm + 1] += newton_step(self.model.calc_jacobian(q, self._target)[:, arm], off)
             off = self._off(s, q)
         if not np.abs(off).max() < 1e-9:
             raise self._refused(s, "the hand that carries the target does not reach")
@@ -330,10 +323,6 @@ class _Arm:
             gap = self._loop.closure.gap(self._follower.model, self._whole(each, own))
             worst = max(worst, np.abs(gap).max())
         return worst
-
-
-def _quaternion(pose: RigidTransform) -> np.ndarray:
-    return pose.rotation().ToQuaternion().wxyz()
 
 
 def closed_chain(
