@@ -70,10 +70,7 @@ class FreeFloating:
     @functools.cached_property
     def center_of_mass(self) -> np.ndarray:
         """p_BC (..., 3), from the base's origin, world axes, m."""
-        mass = self.mass_matrix[..., 3, 3, None]
-        # its velocity from w is w x p_BC
-        center: np.ndarray = self.mass_matrix[..., [4, 5, 3], [2, 0, 1]] / mass
-        return center
+        return center_of_mass(self.mass_matrix)
 
     @functools.cached_property
     def spin_map(self) -> np.ndarray:
@@ -200,6 +197,12 @@ class FreeFloating:
                 "undriven coordinates follow from momentum only if they are the whole base or its "
                 "position"
             )
+
+
+def center_of_mass(mass_matrix: np.ndarray) -> np.ndarray:
+    """Return p_BC (..., 3) of H (..., nv, nv), from the base's origin, world axes, m."""
+    # its velocity from w is w x p_BC
+    return mass_matrix[..., [4, 5, 3], [2, 0, 1]] / mass_matrix[..., 3, 3, None]
 
 
 def free_floating(

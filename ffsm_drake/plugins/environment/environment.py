@@ -22,7 +22,7 @@ from ffsm_drake.common.products import applied
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.scenario import Environment, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
-from ffsm_drake.spacecraft.free_floating import FreeFloating
+from ffsm_drake.spacecraft.free_floating import center_of_mass
 from ffsm_drake.spacecraft.nominal import Carrier, PlantModel, make_flexible_plant
 from ffsm_drake.spacecraft.orbit import Orbit, turned_axes
 from ffsm_drake.systems.part import Part
@@ -78,7 +78,7 @@ class OrbitalForce:
     def _gravity_gradient(self, q: np.ndarray, H: np.ndarray, time: Any) -> np.ndarray:
         """About the centre of mass; with the tide about the origin, which gives both."""
         axes = turned_axes(self.axes, self.rate, time)
-        arm = q[_POSITION] if self.tidal else -_center_of_mass(H)
+        arm = q[_POSITION] if self.tidal else -center_of_mass(H)
         across = applied((axes @ _CROSS).reshape(9, 3), arm)  # axis x arm, one after another
         force, rest = np.zeros_like(H[0]), np.zeros_like(H[0, 6:])
         for i, share in enumerate(_SHARES):
@@ -90,7 +90,7 @@ class OrbitalForce:
     def _tide(self, q: np.ndarray, H: np.ndarray, time: Any) -> np.ndarray:
         """On the centre of mass, as if the mass stood there."""
         radial = turned_axes(self.axes, self.rate, time)[0]
-        center = q[_POSITION] + _center_of_mass(H)
+        center = q[_POSITION] + center_of_mass(H)
         acceleration = applied(3.0 * np.outer(radial, radial) - np.eye(3), center)
         return self.rate * self.rate * applied(H[:, 3:6], acceleration)
 
@@ -112,14 +112,6 @@ def orbital_force(settings: Environment, model: PlantModel) -> OrbitalForce:
         gravity_gradient=settings.gravity_gradient, lit=solar is not None, pressure=pressure,
         arm=arm,
     )  # fmt: skip
-
-
-def _center_of_mass(mass_matrix: np.ndarray) -> np.ndarray:
-    """Vector from the base's origin to the centre of mass (3), world axes, m."""
-    spacecraft = FreeFloating(
-        mass_matrix=mass_matrix, base_position=np.empty(0), driven=np.empty(0, dtype=int)
-    )
-    return spacecraft.center_of_mass
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.free_floating import FreeFloating
+from ffsm_drake.spacecraft.free_floating import center_of_mass
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain
 
@@ -57,9 +57,5 @@ class TorqueAgainstMomentum(ControlLaw):
 
 def angular_momentum(mass_matrix: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Angular momentum (3) of all bodies about their centre of mass, world axes, N m s."""
-    whole = FreeFloating(
-        mass_matrix=mass_matrix, base_position=np.empty(0), driven=np.arange(v.size)
-    )
     momentum = mass_matrix.dot(v)
-    about_center: np.ndarray = momentum[:3] - np.cross(whole.center_of_mass, momentum[3:6])
-    return about_center
+    return momentum[:3] - np.cross(center_of_mass(mass_matrix), momentum[3:6])
