@@ -3,6 +3,7 @@ and abort on some numbers of a URDF.
 """
 
 import contextlib
+import itertools
 import re
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -23,7 +24,7 @@ from ffsm_drake.spacecraft.checked_urdf import (
 from ffsm_drake.spacecraft.inertia import mend, read_mass
 
 DRAWABLE = (".obj", ".gltf", ".dae")  # meshes that Meshcat and the recording can draw
-_TEXTS = (".urdf", ".sdf", ".xml", ".yaml", ".yml", ".gltf", ".obj", ".mtl")
+_TEXTS = (".urdf", ".sdf", ".xml", ".yaml", ".yml", ".gltf", ".dae", ".obj", ".mtl")
 _PLACES: dict[str, Callable[[str], object]] = {  # texts in UTF-8, and further checks
     ".yaml": check_directives, ".yml": check_directives, ".sdf": str, ".xml": str,
 }  # fmt: skip
@@ -32,8 +33,8 @@ _MAX_READ = 5_000_000  # characters searched for names of further files
 # A file name in XML, JSON or YAML, or at the end of a line of a Wavefront file.
 _NAMES = re.compile(
     r"""\b(?:filename|file|uri|url)["']?\s*[=:]\s*(?:"([^"\n]*)"|'([^'\n]*)'|([^\s"'<>,}]+))"""
-    r"""|<uri>\s*([^<\s]+)"""
-    r"""|^\s*(?:mtllib|map_\w+|bump|disp|refl|norm)\s.*?(\S+)\s*$""",
+    r"""|<(?:uri|init_from)>\s*([^<\n]*[^<\s])"""
+    r"""|^\s*(?:mtllib|map_\w+|bump|disp|refl|norm)\s+(.*?(\S+))\s*$""",  # it may follow options
     re.MULTILINE,
 )
 
@@ -70,8 +71,9 @@ def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path,
     pending = [first]
     for path in pending:  # grows during the loop
         try:
-            if path.is_dir() and path != first:
-                path = path / "model.sdf"  # of a model in SDFormat
+            if model := [*path.glob("model.*")]:  # the folder of a model in SDFormat
+                pending += [part for part in model if part not in pending]
+                continue
             check_regular(path, limit=MAX_SIZE)
             if path.suffix.lower() in (".urdf", ".xacro"):
                 _parsed(path)
@@ -83,8 +85,8 @@ def _checked(first: Path, packages: Mapping[str, str]) -> tuple[str, tuple[Path,
                     with path.open(encoding="utf-8", errors="replace") as file:
                         text = file.read(_MAX_READ)
                 for found in _NAMES.finditer(text[:_MAX_READ]):
-                    name = next(filter(None, found.groups()), "")
-                    for folder in (path.parent, first.parent):  # the latter for MuJoCo
+                    folders = path.parent, first.parent  # the latter for MuJoCo
+                    for name, folder in itertools.product(filter(None, found.groups()), folders):
                         further = resolved(name, folder, packages)
                         pending += [other for other in further if other not in pending]
         except FileNotFoundError:

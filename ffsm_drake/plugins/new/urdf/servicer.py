@@ -23,7 +23,7 @@ from ffsm_drake.plugins.new.urdf.elements import (
 from ffsm_drake.plugins.new.urdf.formats import read_model
 from ffsm_drake.plugins.new.urdf.mounting import Bus, mount
 from ffsm_drake.plugins.new.urdf.simplifying import fix_followers, free_base, vague_limits
-from ffsm_drake.spacecraft.checked_urdf import DRAKE, Faults, number, require
+from ffsm_drake.spacecraft.checked_urdf import DRAKE, Faults, require
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS
 from ffsm_drake.spacecraft.inertia import read_inertia, read_mass
 
@@ -89,7 +89,7 @@ class Servicer:
                 continue
             for element in joint.findall("dynamics"):
                 for key, own in (("coulomb_friction", "friction"), ("viscous_friction", "damping")):
-                    if (size := number(element, own, f"joint '{name}'", "0")) > 0.0:
+                    if (size := float(element.get(own, "0"))) > 0.0:
                         found.setdefault(key, {})[name] = size
         return found
 

@@ -89,12 +89,11 @@ def rotor_of(root: Element, joint: str) -> float:
     total = 0.0
     for transmission in root.findall("transmission"):
         if any(name_of(each) == joint for each in transmission.findall("joint")):
-            place = f"transmission of joint '{joint}'"
             found = {
-                element.tag.rpartition("}")[2]: number(element, "value", place)
+                element.tag.rpartition("}")[2]: float(element.attrib["value"])
                 for actuator in transmission.findall("actuator")
                 for element in actuator
-                if element.get("value") is not None
+                if "value" in element.attrib
             }
             total += found.get("rotor_inertia", 0.0) * found.get("gear_ratio", 1.0) ** 2
     return total
@@ -159,7 +158,7 @@ def vague_limits(root: Element) -> Iterator[str]:
         if limit is None or joint.get("type") not in ("revolute", "continuous", "prismatic"):
             continue
         given = {
-            key: number(limit, key, f"joint '{name}'")
+            key: float(limit.attrib[key])
             for key in ("lower", "upper", "effort", "velocity")
             if key in limit.attrib
         }

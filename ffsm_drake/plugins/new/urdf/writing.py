@@ -1,7 +1,6 @@
 """Writing the copy of a URDF that Drake loads, with its meshes, and listing the omissions."""
 
 import copy
-import re
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -18,14 +17,10 @@ from ffsm_drake.plugins.new.urdf.formats.building import color_visual
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
 from ffsm_drake.plugins.new.urdf.target import Target
 from ffsm_drake.plugins.new.urdf.wavefront import of_stl
-from ffsm_drake.spacecraft.checked_urdf import DRAKE, number
+from ffsm_drake.spacecraft.checked_urdf import DRAKE
 from ffsm_drake.spacecraft.clearance import INVENTED, UNMEASURED
-from ffsm_drake.spacecraft.model_files import DRAWABLE
+from ffsm_drake.spacecraft.model_files import DRAWABLE, files_of
 
-# A file name in a mesh: in quotes, between tags, or at the end of a line of a Wavefront file.
-_NAMED_FILE = re.compile(
-    r'(?:["\'>]|^\s*\w+\s)([^"\'<>\n]+\.(?:mtl|bin|png|jpe?g|ktx2|webp))', re.MULTILINE | re.I
-)
 _SHAPES = ("box", "sphere", "cylinder", "capsule", "ellipsoid")  # that Drake reads
 _CONVERTED = {".stl": of_stl, ".dae": of_collada}
 _MISSING, _UNDRAWABLE = "meshes not found", "meshes of an undrawable format"
@@ -109,12 +104,11 @@ def _strip(root: Element) -> Counter[str]:
             root.remove(element)
             left_out[element.tag] += 1
     for joint in root.iter("joint"):
-        place = f"joint '{name_of(joint)}'"
         for tag in ("dynamics", "calibration", "safety_controller"):
             for element in joint.findall(tag):
                 joint.remove(element)
                 if tag != "dynamics" or any(
-                    number(element, key, place, "0") for key in ("damping", "friction")
+                    float(element.get(key, "0")) for key in ("damping", "friction")
                 ):
                     left_out[tag] += 1
     for link in root.iter("link"):
@@ -253,13 +247,5 @@ class _Meshes:
 
 def _with_companions(mesh: Path) -> list[Path]:
     """Return a mesh and the files in its folder that it names: materials, textures, buffers."""
-    files = [mesh]
-    for file in files:  # grows during the loop
-        if file.suffix.lower() not in (*DRAWABLE, ".mtl"):
-            continue
-        for named in _NAMED_FILE.findall(file.read_text(encoding="utf-8", errors="replace")):
-            for name in (named.strip(), named.split()[-1]):  # a texture may follow options
-                other = (mesh.parent / name).resolve()
-                if other not in files and other.is_relative_to(mesh.parent) and other.is_file():
-                    files.append(other)
-    return files
+    named = map(Path.resolve, files_of(str(mesh), f"mesh {mesh.name}", {}))
+    return [file for file in named if file.is_relative_to(mesh.parent) and file.is_file()]

@@ -10,16 +10,17 @@ from ffsm_drake.spacecraft.checked_urdf import MOST_FAR, Numbers, decoded
 
 Lines = Mapping[Element, int]
 _NUMBERS = {  # element of SDFormat -> the numbers that its text holds
-    **dict.fromkeys(("mass", "ixx", "iyy", "izz", "ixy", "ixz", "iyz"), Numbers()),
-    **dict.fromkeys(("radius", "length", "damping", "friction"), Numbers()),
-    **dict.fromkeys(("spring_stiffness", "spring_reference"), Numbers()),
-    **dict.fromkeys(("multiplier", "offset", "reference"), Numbers()),
+    **dict.fromkeys(
+        (
+            "mass", "ixx", "iyy", "izz", "ixy", "ixz", "iyz", "radius", "length", "damping",
+            "friction", "spring_stiffness", "spring_reference", "multiplier", "offset", "reference",
+        ), Numbers()),
     **dict.fromkeys(("lower", "upper", "effort", "velocity"), Numbers(math.inf)),
     **dict.fromkeys(("diffuse", "ambient", "specular", "emissive"), Numbers(count=(3, 4))),
     **dict.fromkeys(("xyz", "scale"), Numbers(count=(3,))),
     "pose": Numbers(MOST_FAR, unit="m, rad or deg", count=(0, 6, 7)),
     "size": Numbers(count=(2, 3)),
-}
+}  # fmt: skip
 
 
 def read_located(path: Path) -> tuple[Element, Lines]:

@@ -77,9 +77,7 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
                 for mimic in axis.findall("mimic"):  # which Drake refuses in continuous time
                     mimics[name_of(joint)] = mimic
                     axis.remove(mimic)
-        faults = Faults()
-        _complete(tree, file.resolve().parent, faults)
-        faults.raise_all()
+        _complete(tree, file.resolve().parent)
         keep_lines(tree, lines)
         return tree, lines
 
@@ -157,10 +155,11 @@ def _value(element: Element, path: str, usual: float = 0.0) -> float:
     return float((element.findtext(path) or "").strip() or usual)
 
 
-def _complete(tree: Element, folder: Path, faults: Faults) -> None:
+def _complete(tree: Element, folder: Path) -> None:
     """Add the folder to relative meshes, and the prefix to Drake's elements; remove rounding from
-    inertias, and effort limits of 0, which mean unknown.
+    inertias, and effort limits of 0, which mean unknown. Raises ModelError for inertias.
     """
+    faults = Faults()
     for link in tree.iter("link"):
         for inertia in link.findall("inertial/inertia"):
             given = dict.fromkeys(MOMENTS[:3], "1")
@@ -174,6 +173,7 @@ def _complete(tree: Element, folder: Path, faults: Faults) -> None:
             for key, value in mended_moments(inertial[1], f"link '{name_of(link)}'").items():
                 part = inertia.find(key)
                 (SubElement(inertia, key) if part is None else part).text = value
+    faults.raise_all()
     for mesh in tree.iter("mesh"):
         for uri in mesh.findall("uri"):
             if "://" not in (address := uri.text or ""):
