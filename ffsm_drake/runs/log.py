@@ -180,8 +180,9 @@ class RunLog:
         columns: dict[str, Given] = {
             "position": (("time", "position_name"), positions),
             "error": (along, self.error),
-            "generalized_force": (along, self.generalized_force),
         }
+        if "generalized_force" in self.series:  # a vector of environments keeps none
+            columns["generalized_force"] = (along, self.generalized_force)
         coords = coordinate_columns(coordinates)
         coords["time"] = ("time", self.time, "control sample t_k", "s")
         if self.frame_error is not None:
