@@ -15,7 +15,7 @@ from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.plugins.compiled.blocks import laid, sizes_of
 from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.kernel import Kernel, LaneState
-from ffsm_drake.plugins.compiled.logs import engine_of, log_of, planned_signals
+from ffsm_drake.plugins.compiled.logs import engine_of, laws_of, log_of, planned_signals
 from ffsm_drake.plugins.compiled.models import PosedModel, posed_model
 from ffsm_drake.plugins.compiled.run import Case, Run
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, Outcome
@@ -69,11 +69,9 @@ class Lanes:
         self.restart(np.arange(number, all_lanes))
 
     def _laws(self, run: Run, numbers: Sequence[int]) -> list[tuple[Laws | None, Any]]:
-        if not self._kernel.blocks.called:
-            return [(None, None)] * len(numbers)
-        laws = [Laws(self._kernel.blocks, [run.controller] * each) for each in numbers]
+        laws = [laws_of(self._kernel, [run] * each) for each in numbers]
         pairs = zip(laws, self._cells, strict=True)
-        return [(each, each.function(cells, self._kernel.places)) for each, cells in pairs]
+        return [(each, each and each.function(cells, self._kernel.places)) for each, cells in pairs]
 
     def begin(self, lane: int, seed: int) -> None:
         """Give a lane a new run, which begins at ``restart``."""
