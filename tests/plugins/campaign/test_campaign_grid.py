@@ -103,7 +103,8 @@ def test_a_point_is_what_simulate_gives(database, points):
     ]  # fmt: skip
     metrics = simulate(load_scenario("postcapture", overrides)).metrics
     means = points["kalman", "moderate", "0.0001", "tdc"]
-    assert (means["itae"], means["isv"]) == (metrics["itae"], metrics["isv"])
+    for name in ("itae", "isv"):  # compiled runs differ from Drake by rounding
+        assert means[name] == pytest.approx(metrics[name], rel=1e-12)
 
 
 @pytest.mark.long

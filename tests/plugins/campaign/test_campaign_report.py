@@ -395,7 +395,7 @@ def test_every_step_that_takes_time_has_a_name(tmp_path):
     for name in (
         "building case 0 with ",
         r"\d+ of 12 runs",
-        r"the stability map: (tdc|asmc), controller [12] of 2: point \d+ of at most \d+",
+        r"computing the stability map \((tdc|asmc), controller [12] of 2: point \d+ of at most \d+",
         "drawing the page",
     ):
         assert any(re.match(name, each) for each in seen), (name, seen)
