@@ -98,28 +98,25 @@ class Tvlqr(ControlLaw):
             )
         law = cls(**field_values(cls, setup))
         scenario = dataclasses.replace(setup.scenario, random_seed=0, description="")
-        sizes = law.error_size, law.rate_size, law.force_size
-        return dataclasses.replace(law, gains=_gains_of(scenario, setup.grip, *sizes))
+        return dataclasses.replace(law, gains=_gains_of(scenario, setup.grip, setup.settings))
 
 
 @memoized(maxsize=4, files=files_read)  # used by a run, its prediction and its stability
-def _gains_of(
-    scenario: Scenario,
-    grip: Grip,
-    error_size: np.ndarray,
-    rate_size: np.ndarray,
-    force_size: np.ndarray,
-) -> np.ndarray:
-    """K_k (samples, nv, 2 nv) until the end of the planned motion, for sizes (nv) of the cost."""
+def _gains_of(scenario: Scenario, grip: Grip, settings: Mapping[str, Any]) -> np.ndarray:
+    """K_k (samples, nv, 2 nv) until the end of the planned motion."""
     model = driven_model(make_nominal_plant(scenario, grip))
+    setup = BlockSetup(
+        name=scenario.controller, scenario=scenario, nominal=model, settings=settings
+    )
+    law = Tvlqr(**field_values(Tvlqr, setup))
     motion, period = make_motion(scenario, model.coordinates, grip), scenario.sample_time
-    last, nv = max(1, round(motion.end / period)), error_size.size
+    last, nv = max(1, round(motion.end / period)), law.error_size.size
     known = [
         linearized(model, *motion.evaluate(time))
         for time in np.linspace(0.0, last * period, _INSTANTS)
     ]
-    weight = np.diag(np.concatenate([error_size, rate_size]) ** -2.0)
-    effort = np.diag(force_size**-2.0)
+    weight = np.diag(np.concatenate([law.error_size, law.rate_size]) ** -2.0)
+    effort = np.diag(law.force_size**-2.0)
     gains = np.empty((last + 1, nv, 2 * nv))
     stationary = discretized(*known[-1], period)
     try:
