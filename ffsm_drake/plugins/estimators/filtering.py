@@ -3,59 +3,33 @@ vibration.
 """
 
 import dataclasses
-from collections.abc import Mapping
 
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import CommandFilter
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State
+from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, WrappedLaw
 
 _KEY = "command_filter"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class FilteredLaw(ControlLaw):
+class FilteredLaw(WrappedLaw):
     """A law whose force passes through filters; the law still receives ``applied_force``.
 
     The low-pass is y_k = y_{k-1} + a (x_k - y_{k-1}). The notch is the bilinear transform, exact at
     its frequency, of (s^2 + w^2) / (s^2 + b w s + w^2), b being its width.
     """
 
-    law: ControlLaw
     share: np.ndarray  # (nv) a of the low-pass; 1: none
     numerator: np.ndarray  # (3, nv) the notch's coefficients of powers of 1/z; (1, 0, 0): no notch
     denominator: np.ndarray  # (2, nv) the notch's coefficients of 1/z and 1/z^2
-
-    @property
-    def tracks_frame(self) -> bool:  # type: ignore[override]
-        """True if the wrapped law tracks a frame."""
-        return self.law.tracks_frame
-
-    @property
-    def contacts_read(self) -> int:  # type: ignore[override]
-        """As the wrapped law."""
-        return self.law.contacts_read
 
     def initial_state(self) -> State:
         """Return the law's state, and that of filters at rest."""
         zeros = np.zeros_like(self.share)
         return {**self.law.initial_state(), **dict.fromkeys(_MEMORY, zeros)}
-
-    def held(self) -> Mapping[str, float | None]:
-        """See ControlLaw; the wrapped law's memory only."""
-        return self.law.held()
-
-    @property
-    def by_axis(self) -> ControlLaw | None:
-        """The law's, without filters."""
-        return self.law.by_axis
-
-    @property
-    def reaching_gain(self) -> ReachingGain | None:
-        """The reaching gain of the law."""
-        return self.law.reaching_gain
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         """One control sample; see ControlLaw."""

@@ -24,7 +24,7 @@ from ffsm_drake.scenario.contacts import InternalForce, closing_contacts
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, stacked
 from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, configuration, find_body
-from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State
+from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State, WrappedLaw
 from ffsm_drake.systems.controllers.sampled import OPTIONAL_OUTPUTS
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.setup import BlockSetup
@@ -169,10 +169,10 @@ class InternalControl:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class MinimalLaw(ControlLaw):
+class MinimalLaw(WrappedLaw):
     """A law in minimal velocities; its memory of all coordinates is zero for those that follow."""
 
-    law: ControlLaw
+    by_axis = None
     tree: TreeModel
     model: ChainModel
     internal: InternalControl | None
@@ -184,24 +184,10 @@ class MinimalLaw(ControlLaw):
         """All contacts that close loops, where their wrench is controlled."""
         return len(self.tree.chain.loops) if self.internal is not None else 0
 
-    @property
-    def random_walks(self) -> tuple[str, ...]:
-        """See ControlLaw."""
-        return self.law.random_walks
-
-    @property
-    def sliding_unit(self) -> str:  # type: ignore[override]
-        """See ControlLaw."""
-        return self.law.sliding_unit
-
     def initial_state(self) -> State:
         """The law's, and the force of the internal control."""
         internal = {_INTERNAL: np.zeros(self.tree.chain.size)} if self.internal else {}
         return {**self._padded(self.law.initial_state()), **internal}
-
-    def held(self) -> Mapping[str, float | None]:
-        """See ControlLaw."""
-        return self.law.held()
 
     @property
     def reaching_gain(self) -> ReachingGain | None:

@@ -21,6 +21,7 @@ import dataclasses
 import inspect
 import math
 from collections.abc import Callable, Mapping
+from operator import attrgetter
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -284,6 +285,26 @@ class ControlLaw(abc.ABC):
           BlockError: another field without a default, or no ``step``.
         """
         return cls(**field_values(cls, setup))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class WrappedLaw(ControlLaw):
+    """A law around another; all attributes of ControlLaw that it does not override are those of the
+    other.
+    """
+
+    law: ControlLaw
+    tracks_frame = property(attrgetter("law.tracks_frame"))
+    contacts_read = property(attrgetter("law.contacts_read"))
+    least_change = property(attrgetter("law.least_change"))
+    sliding_unit = property(attrgetter("law.sliding_unit"))
+    by_axis = property(attrgetter("law.by_axis"))
+    reaching_gain = property(attrgetter("law.reaching_gain"))
+    random_walks = property(attrgetter("law.random_walks"))
+
+    def held(self) -> Mapping[str, float | None]:
+        """See ControlLaw."""
+        return self.law.held()
 
 
 def gains_of(kind: Any) -> dict[str, Gain]:

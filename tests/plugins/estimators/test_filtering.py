@@ -144,3 +144,17 @@ def test_a_filter_goes_through_a_grasp(run):
 )
 def test_errors_are_one_clear_line(overrides, expected):
     assert_refused(expected, "postcapture", *overrides)
+
+
+def test_every_attribute_of_a_law_is_that_of_the_wrapped_law():
+    """Whatever attribute ControlLaw has or gets."""
+    names = [
+        name for name, value in vars(ControlLaw).items()
+        if not name.startswith("_") and not callable(value) and not isinstance(value, classmethod)
+    ]  # fmt: skip
+    kind = type("Own", (Tone,), {name: f"own {name}" for name in names})
+    law = make_filtered(
+        kind(frequency=1.0), CommandFilter(low_pass={"all": 5.0}), COORDINATES, sample_time=PERIOD
+    )
+    assert {name: getattr(law, name) for name in names} == {name: f"own {name}" for name in names}
+    assert len(names) > 5
