@@ -41,7 +41,7 @@ def _drawn(seed):
 
 def _gains_of(scenario, grip):
     scenario = dataclasses.replace(scenario, controller="tvlqr")
-    return tvlqr._gains_of(scenario, grip, *np.ones((3, 11)))[:3]
+    return tvlqr._gains_of(scenario, grip, {})[:3]
 
 
 def _gains_along(scenario, grip):
