@@ -263,7 +263,7 @@ class PlanningProgram:
         def square(x: np.ndarray) -> np.ndarray:
             vector, turning = self._turned(x)
             slope = 2.0 * np.einsum("ki,kix->kx", vector, turning)
-            return self._lifted(x, (vector**2).sum(axis=1), slope) / self._allowed_turn**2
+            return self._lifted(x, np.square(vector).sum(axis=1), slope) / self._allowed_turn**2
 
         ones = np.ones(self._segment.size - 1)
         self._turn = self._program.AddConstraint(
@@ -403,7 +403,7 @@ class PlanningProgram:
     def _cost(self, x: np.ndarray) -> np.ndarray:
         """Weighed duration and integral of the squared force."""
         own, effort = self._planning.time_weight, self._planning.effort_weight
-        square = (self._values(x)[:, : self._size] ** 2).sum(axis=1)
+        square = np.square(self._values(x)[:, : self._size]).sum(axis=1)
         lengths = self._lengths_by @ x[self._points.size :]
         return (own * lengths.sum() + effort * (self._weights @ lengths) @ square) / self._scale
 

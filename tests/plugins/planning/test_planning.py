@@ -22,6 +22,7 @@ from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.plan import Plan, load_plan
 from ffsm_drake.systems.reference import make_motion
 
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")  # a user would read it
 QUICK = ("planning.segments=8",)
 PUBLISHED = {"least time": 2.95, "with the published impulse": 4.10}  # s
 
