@@ -32,6 +32,7 @@ NEEDS = {
     "compiled": {"equations"},
     "design": {"actuators", "capture", "estimators", "flexible"},
     "faults": {"actuators", "estimators"},
+    "flight": {"compiled", "equations"},
     "gymnasium": {"policy", "task_space"},
     "new": {"actuators", "design"},
     "paper": {"analysis", "design"},

@@ -18,7 +18,7 @@ Derivatives = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _share(time: np.ndarray | float, duration: float) -> np.ndarray:
-    return np.minimum(np.maximum(np.asarray(time) / duration, 0.0), 1.0)
+    return np.minimum(np.maximum(time / duration, 0.0), 1.0)
 
 
 def quintic_blend(time: np.ndarray | float, duration: float) -> Derivatives:
@@ -191,4 +191,4 @@ class Blend:
             sum(share * copy[order] for share, copy in zip(shares, copies, strict=True))
             for order in range(3)
         )
-        return np.asarray(first), np.asarray(second), np.asarray(third)
+        return np.asanyarray(first), np.asanyarray(second), np.asanyarray(third)

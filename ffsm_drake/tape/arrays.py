@@ -282,6 +282,18 @@ def _clip(x: Any, a_min: Any = None, a_max: Any = None, **more: Any) -> Any:
     return x if high is None else np.minimum(x, high)
 
 
+@rule(np.argmin)
+def _argmin(a: Any, axis: Any = None, **more: Any) -> Any:
+    """The place of the first least number; without an end, NaN is none."""
+    if more or np.ndim(a) != 1 or axis not in (None, 0, -1):
+        raise NotTraceable("np.argmin other than that of a vector")
+    least, place = a[0], 0.0
+    for at, each in enumerate(a[1:], start=1):
+        is_less = each < least
+        least, place = select(is_less, each, least), select(is_less, float(at), place)
+    return place
+
+
 @rule(np.zeros_like)
 def _zeros_like(x: Any, *, shape: Any = None, **_: Any) -> Any:
     return traced(np.zeros(np.shape(x) if shape is None else shape))

@@ -41,6 +41,7 @@ NEEDED = {
     ],
     "exports": [["export", "out", "--to", "run.csv"], [*SHORT, "--foxglove"]],
     "faults": [[*SHORT, "--set", "faults={}"]],
+    "flight": [],
     "flexible": [["run", "flexible_panels", "--no-report", "--out", "out"]],
     "compiled": [],
     "equations": [],

@@ -328,8 +328,12 @@ class CoupledEstimator(Estimator):
         """
         if len(self.gain) == 1 and q_d.ndim == 1:
             return self.gain[0]
-        nearest: np.ndarray = self.gain[_nearest(self.postures, q_d)]
+        nearest: np.ndarray = self.gain[self.nearest(q_d)]
         return nearest
+
+    def nearest(self, q_d: np.ndarray) -> np.ndarray:
+        """The index of that gain."""
+        return _nearest(self.postures, q_d)
 
     def at_samples(self, q_d: np.ndarray) -> Mapping[str, np.ndarray]:
         """The gains at postures q_d (samples, nq), for the compiled engine."""
@@ -378,7 +382,7 @@ def _nearest(postures: np.ndarray, q: np.ndarray) -> np.ndarray:
     each = q[..., None, :]
     joints = (each - postures)[..., NUM_BASE_POSITIONS:]
     cosine = np.abs((each * postures)[..., :4].sum(axis=-1))  # cosine of half the angle
-    nearest: np.ndarray = ((joints * joints).sum(axis=-1) - 8.0 * cosine).argmin(axis=-1)
+    nearest: np.ndarray = np.argmin((joints * joints).sum(axis=-1) - 8.0 * cosine, axis=-1)
     return nearest
 
 

@@ -1,0 +1,1 @@
+"""The control law of a scenario as C code for a flight computer."""
