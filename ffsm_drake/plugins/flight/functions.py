@@ -130,7 +130,8 @@ class Function:
             yield f"  const REAL f{index}[{len(fixed)}] = {{{', '.join(fixed)}}};"
             yield f"  {self._name}_{operands[0]}(s{index}, f{index});"
             return
-        yield f"  const {'bool' if kind in TRUTHS else 'REAL'} t{index} = {self._made(kind, given)};"
+        made = self._made(kind, given)
+        yield f"  const {'bool' if kind in TRUTHS else 'REAL'} t{index} = {made};"
 
     def _made(self, kind: str, given: list[str]) -> str:
         """What an operation makes."""

@@ -30,13 +30,13 @@ from ffsm_drake.systems.controllers.law import Gain, gains_of
 from ffsm_drake.systems.controllers.law_block import LawBlock
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.quantization import quantize
+from ffsm_drake.systems.reference import make_frame_motion, make_motion
 from ffsm_drake.systems.sampled import Now
 from ffsm_drake.tape.arrays import inputs, traced
 from ffsm_drake.tape.numbers import NotTraceable, Symbol, Tape, none_caught, number
 
 TIME = "time"  # the input of a traced motion
-# Inputs of a sample: those of a law's block, and the numbers that a law reads by sample.
-PLANNED = "planned"
+PLANNED = "planned"  # that of a sample with the numbers that a law reads by sample
 
 
 class FlightLaw:
@@ -64,13 +64,26 @@ class FlightLaw:
         planned = self._parameters.num_planned
         return {**self._block.inputs, **({PLANNED: planned} if planned else {})}
 
-    def rows(self, desired: np.ndarray) -> np.ndarray:
-        """The numbers that the law reads by sample (n, m), for desired configurations (n, nq)."""
-        return rows_of(self.law, desired)
+    @property
+    def times(self) -> np.ndarray:
+        """The control samples of a run (n), s."""
+        return self.scenario.sample_time * np.arange(self.scenario.num_control_periods + 1)
+
+    def motions(self) -> dict[str, PlannedMotion]:
+        """The planned motion, and the path of a frame if one is prescribed, by the fields of
+        ``law_in`` that they begin with.
+        """
+        motion = make_motion(self.scenario, self.coordinates, self.grip)
+        path = make_frame_motion(self.scenario, self.nominal, motion)
+        return {"q_d": motion} | ({} if path is None else {"desired_frame": path})
+
+    def rows_by_sample(self) -> np.ndarray:
+        """The numbers that the law reads by sample (n, m)."""
+        return rows_of(self.law, self.motions()["q_d"].evaluate(self.times)[0])
 
     def postures(self, precision: Precision) -> tuple[np.ndarray, Function] | None:
-        """Rows (n, m) of such numbers, and the ``place`` of the one that the law reads for a
-        ``desired_state``; None: the number of the sample decides.
+        """Rows (n, m) of the numbers that the law reads by sample, and the ``place`` of the row for
+        a ``desired_state``; None: the number of the sample decides.
         """
         parts = [part for part in _parts_of(self.law) if getattr(type(part), "by_sample", ())]
         if len(parts) != 1 or not hasattr(parts[0], "nearest"):
@@ -178,7 +191,7 @@ def traced_motion(motion: PlannedMotion, precision: Precision) -> Function:
     tape = Tape()
     with none_caught():
         row = motion.rows(inputs(tape, TIME, (1,)))[0]
-    return Function("reference_at", tape, _plain(tape, {"row": row}), precision)
+    return Function("row_of_motion", tape, _plain(tape, {"row": row}), precision)
 
 
 def _parts_of(law: Any) -> Iterator[Any]:
