@@ -13,6 +13,7 @@ from ffsm_drake.plugins.analysis import analyze
 from ffsm_drake.plugins.campaign.run import run_campaign
 from ffsm_drake.plugins.design.gains import design
 from ffsm_drake.plugins.design.stability import stability
+from ffsm_drake.plugins.exports.export import export
 from ffsm_drake.runs.ending import Ending, Outcome
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import Phase
@@ -56,6 +57,7 @@ __all__ = [
     "analyze",
     "compare",
     "design",
+    "export",
     "free_floating",
     "gain",
     "load_scenario",

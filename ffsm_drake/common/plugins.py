@@ -18,6 +18,8 @@ COMMANDS = "ffsm_drake.commands"
 VERBS = "ffsm_drake.verbs"
 # Ending of a file, without its dot -> function of a RunRecord and a Path, which writes the file.
 EXPORTERS = "ffsm_drake.exporters"
+# The same, of a Scenario and a Path; returns lines for the user.
+SCENARIO_EXPORTERS = "ffsm_drake.scenario_exporters"
 # Live views of a run. "meshcat", "foxglove": function of a scenario, returns the RunRecord;
 # "controls": of a scenario, with ``keep`` for the record of each run; "replay": of a RunRecord.
 LIVE = "ffsm_drake.live"

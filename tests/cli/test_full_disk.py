@@ -34,7 +34,7 @@ COMMANDS = {
     "analyze": ("analyze", "old", "--out", "new/a"),
     "replay": ("replay", "old", "--out", "new/a/r.html"),
     **{
-        f"export {end}": ("export", "old", "--to", f"new/run.{end}")
+        f"export {end}": ("export", f"new/run.{end}", "old")
         for end in ("mcap", "csv", "parquet", "mat", "fmu")
         if importlib.util.find_spec("ffsm_drake.plugins.exports")
     },

@@ -147,7 +147,7 @@ STUCK = {
     "new": (PLANT, "new new/mine --urdf plain.urdf"),
     "audit": (PLANT, "audit log.csv --urdf plain.urdf"),
     "analyze": (READING, "analyze old --out new"),
-    "export": (READING, "export old --to new/r.csv"),
+    "export": (READING, "export new/r.csv old"),
     "plot": (READING, "plot old --out new"),
     "replay": (READING, "replay old --out new/r.html"),
 }  # fmt: skip

@@ -26,15 +26,15 @@ NAMED = "module_that_a_file_names"
 OF_A_RECORD = {
     ("plot", "it", "--out", "out"): False,
     ("replay", "it", "--out", "out/r.html"): False,
-    ("export", "it", "--to", "out/x.csv"): False,
-    ("export", "it", "--to", "out/x.mcap"): False,
+    ("export", "out/x.csv", "it"): False,
+    ("export", "out/x.mcap", "it"): False,
     ("scenarios", "it"): False,
     ("analyze", "it", "--out", "out"): True,
     ("validate", "it", "--no-rehearsal"): True,
     ("stability", "it"): True,
     ("diagram", "it"): True,
     ("run", "it", "--no-report", "--out", "out"): True,
-    ("export", "it", "--to", "out/x.fmu"): True,
+    ("export", "out/x.fmu", "it"): True,
 }
 OF_A_DATABASE = {
     ("campaign", "status", "it.db"): False,

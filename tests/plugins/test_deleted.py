@@ -39,7 +39,7 @@ NEEDED = {
         [*SHORT, "--set", "estimator.kind=kalman"],
         [*SHORT, "--set", "command_filter.low_pass=20"],
     ],
-    "exports": [["export", "out", "--to", "run.csv"], [*SHORT, "--foxglove"]],
+    "exports": [["export", "run.csv", "out"], [*SHORT, "--foxglove"]],
     "faults": [[*SHORT, "--set", "faults={}"]],
     "flight": [],
     "flexible": [["run", "flexible_panels", "--no-report", "--out", "out"]],

@@ -1,21 +1,21 @@
 """The command ``ffsm export``."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from ffsm_drake.cli.common import run_argument
+from ffsm_drake.cli.common import complete_scenario, located_errors, override_options
 
 
 @click.command()
-@run_argument
+@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@click.argument("scenario", metavar="RUN_DIR|SCENARIO", shell_complete=complete_scenario)
+@override_options()
+@click.option("--float32", is_flag=True, help="For a .c: in single precision.")
+@click.option("--table", is_flag=True, help="For a .c: the reference as a table.")
 @click.option(
-    "--to",
-    "file",
-    required=True,
-    type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE",
-    help="Its extension selects the format: .mat, .csv, .parquet, .mcap, .aem, .oem or .fmu.",
+    "--kit", is_flag=True, help="For a .c: also a replay, a fuzz target, a Makefile, a UDP client."
 )
 @click.option(
     "--part",
@@ -23,30 +23,28 @@ from ffsm_drake.cli.common import run_argument
     help="For an .fmu: its contents (default: plant).",
 )
 @click.option("--ros2", is_flag=True, help="For an .mcap: write ROS 2 messages.")
-def export(run: Path, file: Path, part: str | None, ros2: bool) -> None:
-    """Write a recorded run's series, or a scenario as an FMU, for other programs.
+def export(file: Path, scenario: str, overrides: tuple[str, ...], **options: Any) -> None:
+    """Write a control law as C code, a scenario as an FMU, or a run's series for other programs.
 
-    An .fmu (FMI 3.0, co-simulation) is made from a scenario, by name or file, or from a run's.
+    The ending of FILE selects the format. From a scenario, or a run's: .c, .fmu. From a run: .mat,
+    .csv, .parquet, .mcap, .aem, .oem.
 
     \b
     Examples:
-      ffsm export out/postcapture --to run.mat
-      ffsm export out/postcapture --to run.csv
-      ffsm export postcapture --to law.fmu --part controller
+      ffsm export law.c postcapture --kit
+      ffsm export law.fmu postcapture --part controller
+      ffsm export run.mat out/postcapture
     """
     from ffsm_drake.common.errors import FfsmError
-    from ffsm_drake.plugins.exports.tables import export as write
-    from ffsm_drake.runs.record import RunRecord
+    from ffsm_drake.common.plugins import SCENARIO_EXPORTERS, offered
+    from ffsm_drake.plugins.exports.export import export as write
+    from ffsm_drake.scenario import load_scenario
 
-    if ros2 and file.suffix != ".mcap":
-        raise FfsmError(f"--ros2: only for an .mcap, not for '{file}'")
-    if part and file.suffix != ".fmu":
-        raise FfsmError(f"--part: only for an .fmu, not for '{file}'")
-    if file.suffix == ".fmu":
-        from ffsm_drake.plugins.exports.fmu import export as write_fmu
-        from ffsm_drake.scenario import load_scenario
-
-        write_fmu(load_scenario(str(run)), file, part or "plant")
-    else:
-        write(RunRecord.load(run), file, ros2=ros2)
-    click.echo(f"Written to {file}")
+    given: Any = scenario
+    if file.suffix[1:] in offered(SCENARIO_EXPORTERS):
+        with located_errors(scenario, overrides):
+            given = load_scenario(scenario, overrides)
+    elif overrides:
+        raise FfsmError("--controller, --set, --seed: only for what is made from a scenario")
+    for line in write(file, given, **options):
+        click.echo(line)

@@ -65,7 +65,7 @@ _VELOCITIES = {
 }
 
 
-def export(scenario: Scenario, path: Path, part: str = "plant") -> None:
+def export(scenario: Scenario, path: Path, part: str = "plant") -> list[str]:
     """Write the FMU of one of ``PARTS`` of a scenario.
 
     Raises: FfsmError, for a scenario with a capture or a late hand, or a law that tracks a frame.
@@ -89,6 +89,7 @@ def export(scenario: Scenario, path: Path, part: str = "plant") -> None:
         options = {"canHandleVariableCommunicationStepSize": "false"}
         built = FmuBuilder.build_FMU(script, dest=folder / "built", project_files=[text], **options)
         temporary.write_bytes(built.read_bytes())
+    return [str(path)]
 
 
 class _Slave(Fmi3Slave):

@@ -1,4 +1,4 @@
-"""A recorded run for other programs by a file's ending; as tables: CSV, Parquet, MATLAB."""
+"""A recorded run as tables: CSV, Parquet, MATLAB."""
 
 from pathlib import Path
 from typing import Any
@@ -7,28 +7,7 @@ import numpy as np
 import pandas as pd  # type: ignore[import-untyped]
 
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.common.files import check_writable, written_whole
-from ffsm_drake.common.plugins import EXPORTERS, load, offered
 from ffsm_drake.runs.record import RunRecord
-
-
-def export(record: RunRecord, path: Path, *, ros2: bool = False) -> None:
-    """Write a run's series to a file; its ending selects the exporter (entry point group
-    ``ffsm_drake.exporters``). With ``ros2``, an .mcap file holds ROS 2 messages.
-
-    Raises: FfsmError, if the ending is unknown, a library is missing, or the run lacks a series
-    that the file needs.
-    """
-    known = [f".{name}" for name in offered(EXPORTERS)]
-    if path.suffix not in known:
-        raise FfsmError(f"--to: '{path}' must end in {', '.join(known)}, .fmu")
-    check_writable(path.parent)
-    if ros2:
-        from ffsm_drake.plugins.exports.ros2 import write  # Drake's geometry
-    else:
-        write = load(EXPORTERS, path.suffix[1:], f"--to: '{path}'")
-    with written_whole(path) as temporary:
-        write(record, temporary)
 
 
 def wide_table(record: RunRecord) -> pd.DataFrame:

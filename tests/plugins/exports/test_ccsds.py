@@ -21,7 +21,7 @@ def folder(tmp_path_factory):
 
 
 def export(folder, path):
-    return CliRunner().invoke(main, ["export", str(folder), "--to", str(path)])
+    return CliRunner().invoke(main, ["export", str(path), str(folder)])
 
 
 def read(path):

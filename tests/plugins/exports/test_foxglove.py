@@ -31,7 +31,7 @@ def run(tmp_path_factory):
         "tumbling_capture", ["duration=20.2", "model.flexible={}", "tolerance={all: 1}"]
     )
     simulate(scenario, check_stability=False).save(folder)
-    result = CliRunner().invoke(main, ["export", str(folder), "--to", str(folder / "run.mcap")])
+    result = CliRunner().invoke(main, ["export", str(folder / "run.mcap"), str(folder)])
     assert result.exit_code == 0, result.output
     topics = collections.defaultdict(list)
     for message in reader.read_protobuf_messages(
@@ -101,9 +101,7 @@ def test_series_and_attachments(run):
 def test_without_the_library_one_line_says_what_to_install(run, tmp_path, monkeypatch):
     _, path, _ = run
     monkeypatch.setitem(sys.modules, "foxglove", None)
-    result = CliRunner().invoke(
-        main, ["export", str(path.parent), "--to", str(tmp_path / "a.mcap")]
-    )
+    result = CliRunner().invoke(main, ["export", str(tmp_path / "a.mcap"), str(path.parent)])
     assert result.exit_code == 2
     assert "pip install 'ffsm-drake[mcap]'" in result.output
     assert not list(tmp_path.iterdir())
@@ -113,7 +111,7 @@ def test_without_the_library_one_line_says_what_to_install(run, tmp_path, monkey
 def test_ros_2_reads_it(run, tmp_path):
     ros2 = pytest.importorskip("mcap_ros2.reader", reason="needs mcap-ros2-support")
     record, path, topics = run
-    line = ["export", str(path.parent), "--to", str(tmp_path / "ros.mcap"), "--ros2"]
+    line = ["export", str(tmp_path / "ros.mcap"), str(path.parent), "--ros2"]
     result = CliRunner().invoke(main, line)
     assert result.exit_code == 0, result.output
     found = collections.defaultdict(list)

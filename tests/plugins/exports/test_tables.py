@@ -21,7 +21,7 @@ def folder(tmp_path_factory):
 
 
 def exported(folder, path):
-    result = CliRunner().invoke(main, ["export", str(folder), "--to", str(path)])
+    result = CliRunner().invoke(main, ["export", str(path), str(folder)])
     assert result.exit_code == 0, result.output
     return path
 
@@ -50,12 +50,12 @@ def test_mat_holds_the_record_with_units(folder, tmp_path):
 
 
 def test_other_endings_are_refused(folder, tmp_path):
-    result = CliRunner().invoke(main, ["export", str(folder), "--to", str(tmp_path / "run.xyz")])
+    result = CliRunner().invoke(main, ["export", str(tmp_path / "run.xyz"), str(folder)])
     assert result.exit_code == 2
     for option in (["--ros2"], ["--part", "controller"]):
-        line = ["export", str(folder), "--to", str(tmp_path / "run.csv"), *option]
-        assert f"{option[0]}: only for an" in CliRunner().invoke(main, line).output
-    assert "must end in .aem, .csv, .mat, .mcap, .oem, .parquet, .fmu" in result.output
+        line = ["export", str(tmp_path / "run.csv"), str(folder), *option]
+        assert f"{option[0]}: not for a .csv" in CliRunner().invoke(main, line).output
+    assert "must end in .aem, .csv, .mat, .mcap, .oem, .parquet, .c, .fmu" in result.output
 
 
 @pytest.mark.slow
