@@ -215,10 +215,8 @@ def _gains_in(law: Any) -> Iterator[tuple[str, Gain, Any]]:
 
 
 def core_of(law: Any) -> Any:
-    """What a law is without filters and estimators."""
-    while (inner := getattr(law, "law", None) or getattr(law, "dynamics", None)) is not None:
-        law = inner
-    return law
+    """What a law is without filters and estimators: the last of its parts with gains."""
+    return next((part for part in reversed([*_parts_of(law)]) if gains_of(type(part))), law)
 
 
 def _plain(tape: Tape, rows: Mapping[str, Any]) -> dict[str, list[Symbol | float]]:
