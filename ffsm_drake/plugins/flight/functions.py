@@ -42,13 +42,13 @@ class Precision:
         if math.isnan(value):
             return "NAN"
         if not self.single:
-            return repr(float(value)) if math.isfinite(value) else f"{'-' * (value < 0)}INFINITY"
+            return repr(float(value)) if math.isfinite(value) else f"{'-' * int(value < 0)}INFINITY"
         with np.errstate(over="ignore", under="ignore"):
             rounded = np.float32(value)
         if rounded == 0.0 and value != 0.0:  # as a divisor it would be none
             rounded = np.copysign(np.finfo(np.float32).tiny, np.float32(value))
         if not np.isfinite(rounded):
-            return f"{'-' * bool(rounded < 0)}INFINITY"
+            return f"{'-' * int(rounded < 0)}INFINITY"
         text = str(rounded)
         return f"{text}F" if re.search(r"[.e]", text) else f"{text}.0F"
 

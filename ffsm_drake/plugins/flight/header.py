@@ -52,7 +52,10 @@ def _lines(layout: Layout, file: str, operations: int, *, has_reference: bool) -
     for name, about in _STRUCTS.items():
         yield f"/* {about} */"
         yield "typedef struct {"
-        fields = [f"law_real {e.name}[{e.size}]; /* {e.about} */" for e in layout.fields[name]]
+        fields = [
+            f"law_real {each.name}[{each.size}]; /* {_comment(each.about)} */"
+            for each in layout.fields[name]
+        ]
         fields += [f"uint32_t {whole}; /* {told} */" for whole, told in WHOLES[name].items()]
         yield from (f"  {field}" for field in fields or ["uint32_t none; /* the law has none */"])
         yield f"}} law_{name};"
@@ -90,9 +93,14 @@ def _about(layout: Layout, operations: int) -> Iterator[str]:
     ]
     yield "/*"
     for line in lines:
-        for part in textwrap.wrap(line.replace("*/", "* /"), 92) or [""]:
+        for part in textwrap.wrap(_comment(line), 92) or [""]:
             yield f" * {part}".rstrip()
     yield " */"
+
+
+def _comment(text: str) -> str:
+    """A text that cannot end a comment, or begin another."""
+    return " ".join(text.replace("*/", "* /").replace("/*", "/ *").replace("\\", "/").split())
 
 
 def _macros(layout: Layout, *, has_reference: bool) -> Iterator[str]:

@@ -1,7 +1,7 @@
 """The structs of an exported law, and the places of a traced function's arrays in them."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,10 +10,12 @@ from ffsm_drake.plugins.flight.functions import Precision
 from ffsm_drake.plugins.flight.traced import FlightLaw
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.frame_path import FRAME_SIZE
+from ffsm_drake.tape.numbers import NotTraceable
 
 WITHOUT = "_without_target"  # the end of the names of what belongs to the law before a grasp
 HELD_FOR = 0.1  # s, that the last force is held
 LARGEST = 1e9  # of an input, rad, m, N m, N
+MOST_MEMORY = 4096  # numbers; law_step has the memory on its stack twice
 NORM = 0.1  # tolerance of a quaternion's squared norm, which integrators let drift
 # Whole numbers at the end of each struct, and what they are.
 WHOLES: Mapping[str, Mapping[str, str]] = {
@@ -78,10 +80,7 @@ class Layout:
         coordinates = self.law.coordinates
         self.nq, self.nv = coordinates.num_positions, coordinates.num_velocities
         # the field of each piece of memory; one that both laws begin with alike is one
-        self._memory = {
-            holds: {name: self._field(name, holds=holds) for name in law.memory}
-            for holds, law in laws.items()
-        }
+        self._memory = {holds: self._memory_fields(holds=holds) for holds in laws}
         self.fields = {"in": self._inputs(), "gains": self._gains(), "state": self._state()}
         self.fields["out"] = [
             Field("force", self.nv, "hold it until the next sample"),
@@ -102,10 +101,12 @@ class Layout:
             found[f"law_{name}"] = -(-max(size, 1) // real) * real
         return found
 
-    def _field(self, name: str, *, holds: bool) -> str:
-        own, other = (self.laws[which].memory.get(name) for which in (holds, True))
-        alike = holds or own is None or other is None or np.array_equal(own, other)
-        return identifier(name) + ("" if alike else WITHOUT)
+    def _memory_fields(self, *, holds: bool) -> dict[str, str]:
+        """The fields of a law's memory by its names."""
+        own, other = (self.laws[which].memory for which in (holds, True))
+        fields = dict(zip(own, identifiers(own, taken=WHOLES["state"]), strict=True))
+        unlike = (name for name in own if name in other and np.any(own[name] != other[name]))
+        return fields | {name: fields[name] + WITHOUT for name in unlike}
 
     def _inputs(self) -> list[Field]:
         nq, nv = self.nq, self.nv
@@ -128,9 +129,10 @@ class Layout:
         ]
 
     def _gains(self) -> list[Field]:
+        gains = self.law.gains
         return [
-            Field(identifier(name), values.size, f"{declared.unit or '1'}: {declared.meaning}")
-            for name, (declared, values) in self.law.gains.items()
+            Field(field, values.size, f"{declared.unit or '1'}: {declared.meaning}")
+            for field, (declared, values) in zip(identifiers(gains), gains.values(), strict=True)
         ]
 
     def _state(self) -> list[Field]:
@@ -138,7 +140,10 @@ class Layout:
         for holds, law in self.laws.items():
             for name, place in self._memory[holds].items():
                 found[place] = Field(place, law.memory[name].size, f"'{name}' of the law")
-        return [*found.values(), Field("last_force", self.nv, "of the last good sample")]
+        kept = [field for field in found.values() if field.size]
+        if sum(field.size for field in kept) > MOST_MEMORY:
+            raise NotTraceable(f"a memory of more than {MOST_MEMORY} numbers, too many for a stack")
+        return [*kept, Field("last_force", self.nv, "of the last good sample")]
 
     def memory_at(self, entry: int, *, holds: bool) -> str:
         """The place of an entry of a law's memory in ``law_state``."""
@@ -184,11 +189,16 @@ def located(sizes: Mapping[str, int], entry: int) -> tuple[str, int]:
     raise IndexError(entry)
 
 
-def identifier(name: str) -> str:
-    """A name that C takes."""
-    found = re.sub(r"\W", "_", name, flags=re.ASCII)
-    is_taken = _WORDS.fullmatch(found) or found in WHOLES["state"]
-    return f"{found}_" if is_taken else found
+def identifiers(names: Iterable[str], taken: Collection[str] = ()) -> list[str]:
+    """Names that C takes, each another one."""
+    found = list[str]()
+    for name in names:
+        own = re.sub(r"\W", "_", name, flags=re.ASCII)
+        own = f"_{own}" if own[:1].isdigit() else own
+        while _WORDS.fullmatch(own) or own in (*taken, *found, "last_force"):
+            own += "_"
+        found.append(own)
+    return found
 
 
 def numbers(values: Any, precision: Precision) -> str:

@@ -74,9 +74,10 @@ def _body(
 
 
 def _constant_gains(layout: Layout) -> str:
+    values = [given for _, given in layout.law.gains.values()]
     rows = [
-        f"  {{{numbers(values, layout.precision)}}}, /* {name} */"
-        for name, (_, values) in layout.law.gains.items()
+        f"  {{{numbers(given, layout.precision)}}}, /* {field.name} */"
+        for field, given in zip(layout.fields["gains"], values, strict=True)
     ]
     inner = "\n".join(rows or ["  0U"])
     return f"const law_gains LAW_GAINS = {{\n{inner}\n}};\n"
@@ -197,8 +198,12 @@ def _checks(layout: Layout) -> Iterator[str]:
         bit = _CAUSES.get(field.name, "LAW_BAD_OTHER")
         yield f"  if (!({test})) {{\n    causes |= {bit};\n  }}"
     yield "  return causes;\n}\n"
-    tests = [f"are_finite(next->{each.name}, {each.size}U)" for each in layout.fields["state"]]
-    yield "static bool is_usable(const law_state *next, const law_out *out)\n{"
+    arguments = "const law_state *before, const law_state *next, const law_out *out"
+    yield f"static bool is_usable({arguments})\n{{"
+    tests = [
+        f"are_usable(next->{each.name}, before->{each.name}, {each.size}U)"
+        for each in layout.fields["state"]
+    ]
     joined = "\n    && ".join(("are_within(out->force, LAW_NV, LAW_LARGEST)", *tests))
     yield f"  return {joined};\n}}\n"
 

@@ -29,11 +29,11 @@ static bool are_within(const law_real *values, uint32_t size, law_real most)
   return are;
 }
 
-static bool are_finite(const law_real *values, uint32_t size)
+static bool are_usable(const law_real *values, const law_real *before, uint32_t size)
 {
   bool are = true;
   for (uint32_t i = 0U; i < size; ++i) {
-    are = are && ((values[i] - values[i]) == (law_real)0);
+    are = are && (((values[i] - values[i]) == (law_real)0) || (values[i] == before[i]));
   }
   return are;
 }

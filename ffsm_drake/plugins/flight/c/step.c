@@ -47,7 +47,7 @@ law_status law_step(const law_in *in, const law_gains *gains, law_state *state, 
     next.has_previous = 1U;
     next.holds = in->holds;
     next.bad = 0U;
-    if (!is_usable(&next, &made)) {
+    if (!is_usable(state, &next, &made)) {
       causes = LAW_BAD_RESULT;
     }
   }
