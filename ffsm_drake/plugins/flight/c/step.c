@@ -64,6 +64,10 @@ law_status law_step(const law_in *in, const law_gains *gains, law_state *state, 
     } else {
       made.status = (uint32_t)LAW_ZERO;
       (void)memset(made.force, 0, sizeof made.force);
+      if (causes == LAW_BAD_RESULT) { /* such as an integral that is too large: it would stay */
+        law_start(state);
+        state->bad = LAW_MOST_HELD;
+      }
     }
     copy(made.commanded, made.force, LAW_NV);
     made.causes = causes;
