@@ -3,7 +3,9 @@
 from pathlib import Path
 
 from ffsm_drake.common.files import write_text
+from ffsm_drake.plugins.flight.kit import write_kit
 from ffsm_drake.plugins.flight.law import LawFiles
+from ffsm_drake.plugins.flight.recorded import recorded
 from ffsm_drake.scenario import Scenario
 
 
@@ -25,6 +27,11 @@ def write_c(
     """
     header = path.with_suffix(".h")
     made = LawFiles.of(scenario, single=float32, table=table, header=header.name)
+    told = list[str]()
+    if kit:
+        files = write_kit(path.parent, path.stem, recorded(scenario, made.reads).text())
+        names = ", ".join(str(each.relative_to(path.parent)) for each in files)
+        told = [f"kit: {names}", f"check it with: make -C {path.parent} check"]
     write_text(header, made.header)
     write_text(path, made.source)
     precision = "single" if float32 else "double"
@@ -33,4 +40,5 @@ def write_c(
     return [
         f"{path}, {header.name}: the law {scenario.controller} in C99, {precision} precision",
         f"{made.operations} operations a sample; bytes: {sizes}; reference: {reference}",
+        *told,
     ]
