@@ -450,5 +450,5 @@ def test_the_baselines_sampled_limit(controller, coordinate):
 
 def test_every_public_name_is_in_the_table_of_the_api():
     rows = re.findall(r"^\| [^|`]+ \| (`\w+`(?:, `\w+`)*) \|$", (DOCS / "api.md").read_text(), re.M)
-    verbs = {"analyze", "design", "run_campaign", "stability"}
+    verbs = {"analyze", "design", "export", "run_campaign", "stability"}
     assert sorted(re.findall(r"\w+", " ".join(rows))) == sorted({*ffsm_drake.__all__, *verbs})
