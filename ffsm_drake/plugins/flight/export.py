@@ -4,9 +4,7 @@ from pathlib import Path
 
 from ffsm_drake.common.files import write_text
 from ffsm_drake.plugins.flight.kit import write_kit
-from ffsm_drake.plugins.flight.kit import write_kit
 from ffsm_drake.plugins.flight.law import LawFiles
-from ffsm_drake.plugins.flight.recorded import recorded
 from ffsm_drake.plugins.flight.recorded import recorded
 from ffsm_drake.scenario import Scenario
 
@@ -29,14 +27,6 @@ def write_c(
     """
     header = path.with_suffix(".h")
     made = LawFiles.of(scenario, single=float32, table=table, header=header.name)
-    told = list[str]()
-    if kit:
-        files = write_kit(path.parent, path.stem, recorded(scenario, made.reads).text())
-        names = ", ".join(str(each.relative_to(path.parent)) for each in files)
-        told = [f"kit: {names}", f"check it with: make -C {path.parent} check"]
-    run = recorded(scenario, made.reads) if kit else None
-    write_text(header, made.header)
-    write_text(path, made.source)
     precision = "single" if float32 else "double"
     sizes = ", ".join(f"{name} {size}" for name, size in made.sizes.items())
     reference = made.reference or "given by the caller"
@@ -44,8 +34,12 @@ def write_c(
         f"{path}, {header.name}: the law {scenario.controller} in C99, {precision} precision",
         f"{made.operations} operations a sample; bytes: {sizes}; reference: {reference}",
     ]
-    if run is not None:
+    if kit:
+        run = recorded(scenario, made.reads)
         files = write_kit(path.parent, path.stem, run.text())
         equal = "bit for bit" if run.exact and not float32 else "within rounding"
-        lines.append(f"{len(files)} files of the kit; make check replays a run {equal}")
+        lines.append(f"kit: {', '.join(str(each.relative_to(path.parent)) for each in files)}")
+        lines.append(f"make -C {path.parent} check replays a run, which must be equal {equal}")
+    write_text(header, made.header)
+    write_text(path, made.source)
     return lines

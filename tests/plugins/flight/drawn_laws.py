@@ -58,8 +58,10 @@ def drawn(seed: int, courier: str, *, gently: bool = False):
         hard += [f"command_filter.notch.joints={draw.uniform(10.0, 40.0)}"]
     if gently:
         hard = ["actuation.limit.all=200", "command_filter.low_pass.joints=49"]
+        given += ["sensing.velocity_noise.all=1e-7", "sensing.position_noise.all=0"]
     if law in TIME_DELAY:
         kind = draw.choice(["one_sample", "kalman", "coupled", "late"])
+        kind = "kalman" if gently and kind == "late" else kind
         given += [f"estimator.kind={'kalman' if kind == 'late' else kind}"]
         if kind == "late":
             given += ["sensing.position_period.base_position=5"]

@@ -34,7 +34,8 @@ def test_the_forces_of_a_drawn_law_are_equal(draw, tmp_path, courier):
     try:
         export(law, drawn(draw, courier), kit=True)
     except FfsmError as error:  # a drawn loop may be unstable
-        assert "diverged" in str(error)
+        if "diverged" not in str(error):
+            raise
         export(law, drawn(draw, courier, gently=True), kit=True)
     compiler, level, runner = BUILDS[draw % len(BUILDS)]
     static = ["-static"] if runner else []
