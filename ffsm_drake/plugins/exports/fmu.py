@@ -1,4 +1,4 @@
-"""A scenario's plant or control law as an FMU (FMI 3.0, co-simulation) for other simulators.
+"""A scenario's plant as an FMU (FMI 3.0, co-simulation) for other simulators.
 
 A step is one control sample. At each sample t_k a master takes the plant's outputs to the law,
 steps the law, takes its force to the plant, and steps the plant: the force of a sample follows from
@@ -17,15 +17,15 @@ from pydrake.systems.framework import Context
 from ffsm_drake.common.aside import Aside
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.files import check_writable, written_whole
+from ffsm_drake.common.plugins import service
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import Scenario, load_scenario, scenario_to_yaml
 from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.systems.controllers import ControlLaw, make_law
+from ffsm_drake.systems.controllers import ControlLaw
 from ffsm_drake.systems.controllers.law import Sample, State
-from ffsm_drake.systems.registry import find_factory
 
 try:
     from pythonfmu3 import (
@@ -43,14 +43,13 @@ try:
 except ImportError as _error:
     raise FfsmError("an FMU needs pythonfmu3: pip install 'ffsm-drake[fmu]'") from _error
 
-PARTS = ("plant", "controller")
 _SCENARIO_FILE = "scenario.yaml"
 _SCRIPT = """from pythonfmu3 import Fmi3Slave
 
-from ffsm_drake.plugins.exports.fmu import {base}
+from ffsm_drake.plugins.exports.fmu import PlantSlave
 
 
-class {name}({base}, Fmi3Slave):
+class FfsmPlant(PlantSlave, Fmi3Slave):
     pass
 """
 # inputs of the law: name in a Sample -> name of the variables
@@ -65,26 +64,32 @@ _VELOCITIES = {
 }
 
 
-def export(scenario: Scenario, path: Path, part: str = "plant") -> list[str]:
-    """Write the FMU of one of ``PARTS`` of a scenario.
+def export(
+    scenario: Scenario, path: Path, part: str = "plant", float32: bool = False, table: bool = False
+) -> list[str]:
+    """Write the FMU of a scenario's plant, or of its control law (``part="controller"``).
 
-    Raises: FfsmError, for a scenario with a capture or a late hand, or a law that tracks a frame.
+    Args: as of ``flight.fmu.write_fmu``.
+
+    Raises: FfsmError, for the plant of a scenario with a capture or a late hand, or a law that
+    cannot be exported as C.
     """
-    if part not in PARTS:
-        raise FfsmError(f"--part: must be one of {', '.join(PARTS)}, not '{part}'")
+    if part == "controller":
+        lines: list[str] = service("law_fmu", "--part controller")(
+            scenario, path, float32=float32, table=table
+        )
+        return lines
+    if float32 or table:
+        raise FfsmError("--float32, --table: only for --part controller")
     if scenario.capture is not None:
         raise FfsmError("capture: a scenario with a capture cannot be an FMU; leave it out")
     if len(closing_times(scenario)) > 1:
         raise FfsmError("contacts: hands that close later cannot be in an FMU; leave closes out")
-    factory = find_factory("controller", scenario.controller, python_path=scenario.python_path)
-    if part == "controller" and getattr(factory, "tracks_frame", False):
-        raise FfsmError(f"controller: {scenario.controller} tracks a frame; cannot be an FMU")
     check_writable(path.parent)
     with written_whole(path) as temporary, tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        script, text = folder / f"ffsm_{part}.py", folder / _SCENARIO_FILE
-        base = {"plant": "PlantSlave", "controller": "ControllerSlave"}[part]
-        script.write_text(_SCRIPT.format(base=base, name=f"Ffsm{part.capitalize()}"))
+        script, text = folder / "ffsm_plant.py", folder / _SCENARIO_FILE
+        script.write_text(_SCRIPT)
         text.write_text(scenario_to_yaml(scenario))
         options = {"canHandleVariableCommunicationStepSize": "false"}
         built = FmuBuilder.build_FMU(script, dest=folder / "built", project_files=[text], **options)
@@ -245,36 +250,3 @@ class PlantSlave(_Slave):
 
     def terminate(self) -> None:
         self._course.aside.stop()
-
-
-class ControllerSlave(_Slave):
-    """The law of a scenario; its output is the force of the sample at which a step begins."""
-
-    def __init__(self, **given: Any) -> None:
-        super().__init__(**given)
-        for group, names in self.groups.items():
-            start = 1.0 if group.startswith("is_new") else 0.0
-            self.add(group, names, Fmi3Causality.input, start)
-        self.add("force", tuple(self.coordinates.names), Fmi3Causality.output)
-
-    def exit_initialization_mode(self) -> None:
-        law = make_law(self.scenario, make_nominal_plant(self.scenario))
-        if not isinstance(law, ControlLaw):
-            raise FfsmError(f"{self.scenario.controller}: must be a control law")
-        self._law, self._state, self._is_first = law, law.initial_state(), True
-
-    def advance(self) -> bool:
-        read = {name: self.values[of].copy() for name, of in (_POSITIONS | _VELOCITIES).items()}
-        new = np.concatenate([self.values["is_new_position"], self.values["is_new_velocity"]])
-        sample = Sample(
-            **read, is_first=self._is_first, is_new=None if new.all() else new.astype(bool)
-        )
-        force, state = self._law.step(sample, self._state)
-        force = np.array(force)
-        force[~self.coordinates.is_driven] = 0.0
-        if not np.isfinite(force).all():
-            worst = self.coordinates.names[int(np.argmin(np.isfinite(force)))]
-            raise FfsmError(f"the force on {worst} is no number")
-        self._state, self._is_first = state, False
-        self.values["force"][:] = force
-        return True
