@@ -57,7 +57,7 @@ def drawn(seed: int, courier: str, *, gently: bool = False):
     if draw.random() < 0.3:
         hard += [f"command_filter.notch.joints={draw.uniform(10.0, 40.0)}"]
     if gently:
-        hard = ["actuation.limit.all=200", "command_filter.low_pass.joints=49"]
+        hard = ["actuation.limit.all=200"]
         given += ["sensing.velocity_noise.all=1e-7", "sensing.position_noise.all=0"]
     if law in TIME_DELAY:
         kind = draw.choice(["one_sample", "kalman", "coupled", "late"])
