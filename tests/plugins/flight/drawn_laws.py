@@ -49,7 +49,7 @@ def drawn(seed: int, courier: str, *, gently: bool = False):
     if draw.random() < 0.5:
         hard += [f"actuation.limit.all={draw.uniform(5.0, 50.0)}"]
     if draw.random() < 0.3:
-        given += [f"actuation.quantization.all={draw.choice([0.01, 0.001])}"]
+        hard += [f"actuation.quantization.all={draw.choice([0.01, 0.001])}"]
     if draw.random() < 0.2:
         hard += ["actuation.delay=1"]
     if draw.random() < 0.4:
