@@ -35,6 +35,7 @@ def drawn(seed: int, courier: str, *, gently: bool = False):
     craft = CRAFT[seed // len(TRACEABLE) % len(CRAFT)]
     base = {"courier": courier}.get(craft, craft)
     duration = draw.choice([2.0, 4.0, 6.0])
+    duration = 15.0 if gently else duration
     given = [
         f"controller={law}", f"random_seed={seed}", f"duration={duration + 1.0}",
         f"reference.duration={duration}", f"reference.kind={draw.choice(['quintic', 'septic'])}",
