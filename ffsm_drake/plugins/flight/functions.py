@@ -5,6 +5,7 @@ of the compiled runs, so that results are equal bit for bit. Only exponentials, 
 and the inverse and hyperbolic functions call the C library.
 """
 
+import collections
 import dataclasses
 import math
 import re
@@ -22,6 +23,7 @@ _BINARY = {
 }  # fmt: skip
 _LIBRARY = {"abs": "fabs", "sine": "sin", "cosine": "cos"}  # kind -> the C library's name, if other
 _OWN = {"max": "larger", "min": "smaller"}
+_ANGLES = ("sine", "cosine")  # in double precision a function of helpers.c makes both
 _READ = ("input", "entry")  # kinds of values that are in an array
 Place = Callable[[str, int], str]  # of an array's entry: its C expression
 
@@ -70,23 +72,18 @@ class Function:
         precision: of its numbers.
         """
         self._name, self._precision = name, precision
-        self._tape, self._results = (
-            (tape, results) if precision.single else without_angles(tape, results)
-        )
-        operations = self._tape.operations
-        ends = [one.index for row in self._results.values() for one in row if _is_symbol(one)]
-        self._wanted = needed(operations, ends)
+        self._tape, self._results = tape, results
+        operations, self._wanted = tape.operations, _wanted(tape, results)
         self.reads = {operations[each].operands for each in self._wanted if _is(operations, each)}
 
     @property
     def operations(self) -> dict[str, int]:
-        """Numbers of operations by kind; those of loops are not in it."""
-        found: dict[str, int] = {}
-        for index in self._wanted:
-            kind = self._tape.operations[index].kind
-            if kind not in _READ:
-                found[kind] = found.get(kind, 0) + 1
-        return found
+        """Numbers of operations by kind, with those of angles; those of loops are not in it."""
+        tape, results = self._tape, self._results
+        if not self._precision.single:
+            tape, results = without_angles(tape, results)
+        kinds = (tape.operations[index].kind for index in _wanted(tape, results))
+        return dict(collections.Counter(kind for kind in kinds if kind not in _READ))
 
     def text(self, arguments: str, source: Place, target: Place, *, local: bool = True) -> str:
         """The C function, after those of its loops.
@@ -100,9 +97,12 @@ class Function:
         before = [
             self._loop(str(each), self._tape.loops[str(each)]) for each in sorted(loops, key=str)
         ]
-        body = list[str]()
+        body, angles = list[str](), dict[Any, int]()
         for index in self._wanted:
-            body += self._lines(index, operations[index], source)
+            if operations[index].kind in _ANGLES and not self._precision.single:
+                body += self._angle(index, operations[index], angles)
+            else:
+                body += self._lines(index, operations[index], source)
         ends = list[str]()
         for array, row in self._results.items():
             for entry, value in enumerate(row):
@@ -132,6 +132,15 @@ class Function:
             return
         made = self._made(kind, given)
         yield f"  const {'bool' if kind in TRUTHS else 'REAL'} t{index} = {made};"
+
+    def _angle(self, index: int, operation: Operation, known: dict[Any, int]) -> Iterator[str]:
+        """A sine or cosine; both are made where the first is needed (``known``: of an angle)."""
+        (angle,) = operation.operands
+        if angle not in known:
+            known[angle] = index
+            yield f"  REAL a{index}[2];"
+            yield f"  sine_and_cosine({self._value(angle)}, a{index});"
+        yield f"  const REAL t{index} = a{known[angle]}[{_ANGLES.index(operation.kind)}];"
 
     def _made(self, kind: str, given: list[str]) -> str:
         """What an operation makes."""
@@ -173,6 +182,12 @@ static void {own}(REAL *state, const REAL *fixed)
 
 def _element(array: str, entry: int) -> str:
     return f"{array}[{entry}]"
+
+
+def _wanted(tape: Tape, results: Mapping[str, Sequence[Any]]) -> Sequence[int]:
+    """The operations that results need."""
+    ends = [one.index for row in results.values() for one in row if _is_symbol(one)]
+    return needed(tape.operations, ends)
 
 
 def _is_symbol(value: Any) -> bool:

@@ -1,7 +1,6 @@
 """The code of an exported law."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
@@ -39,7 +38,8 @@ def source_text(
     Raises what the law raises on symbols.
     """
     body = "\n".join(_body(layout, samples, references))
-    helpers = (each for each in static_text("helpers.c").split("\n\n") if _is_used(each, body))
+    texts = "\n".join(map(static_text, ("angles.c", "helpers.c"))).split("\n\n")
+    helpers = (each for each in texts if _is_used(each, body))
     includes = [f'#include "{header}"', ""]
     includes += [f"#include <{name}.h>" for name in ("math", "stdbool", "string")]
     return "\n".join((*includes, "", "\n\n".join(helpers), body)) + "\n"
@@ -91,10 +91,14 @@ def _limits(layout: Layout) -> Iterator[str]:
         for each in limits:
             if each.quantity == quantity:
                 least, most = np.maximum(least, each.lower), np.minimum(most, each.upper)
-        for end, values in (("LEAST", least), ("MOST", most)):
+        has_limits = np.isfinite([least, most]).any()
+        yield f"#define HAS_{name}_LIMITS {int(has_limits)}"
+        for end, values in (("LEAST", least), ("MOST", most)) if has_limits else ():
             given = numbers(values, layout.precision)
             yield f"static const law_real {end}_{name}[LAW_NV] = {{{given}}};"
-    yield ""
+    limit, resolution = layout.law.actuation
+    changes = bool(np.isfinite(limit).any() or resolution.any())
+    yield f"#define CHANGES_FORCE {int(changes)}\n"
 
 
 def _sample(
@@ -179,11 +183,16 @@ def _start(layout: Layout) -> Iterator[str]:
     yield "void law_start(law_state *state)\n{"
     yield "  (void)memset(state, 0, sizeof *state);"
     for holds, law in layout.laws.items():
-        values: Any = np.concatenate([np.zeros(0), *map(np.ravel, law.memory.values())])
+        values = _memory(law)
         for at in np.flatnonzero(values).tolist():
             place, number = layout.memory_at(at, holds=holds), layout.precision.number(values[at])
             yield f"  state->{place} = {number};"
     yield "}\n"
+
+
+def _memory(law: FlightLaw) -> np.ndarray:
+    """All numbers of a law's memory at its start."""
+    return np.concatenate([np.zeros(0), *map(np.ravel, law.memory.values())])
 
 
 def _checks(layout: Layout) -> Iterator[str]:
@@ -198,14 +207,25 @@ def _checks(layout: Layout) -> Iterator[str]:
         bit = _CAUSES.get(field.name, "LAW_BAD_OTHER")
         yield f"  if (!({test})) {{\n    causes |= {bit};\n  }}"
     yield "  return causes;\n}\n"
-    arguments = "const law_state *before, const law_state *next, const law_out *out"
-    yield f"static bool is_usable({arguments})\n{{"
-    tests = [
-        f"are_usable(next->{each.name}, before->{each.name}, {each.size}U)"
-        for each in layout.fields["state"]
+    infinite = {
+        layout.memory_at(at, holds=holds).partition("[")[0]
+        for holds, law in layout.laws.items()
+        for at in np.flatnonzero(~np.isfinite(_memory(law))).tolist()
+    }
+    counts = [
+        "number_beyond(out->force, LAW_NV, LAW_LARGEST)",
+        "number_beyond(out->commanded, LAW_NV, LAW_LARGEST)",
+        *(
+            f"number_not_finite(next->{name}, {size}U)"
+            if name not in infinite
+            else f"number_changed(next->{name}, before->{name}, {size}U)"
+            for name, size, _ in layout.fields["state"]
+        ),
     ]
-    joined = "\n    && ".join(("are_within(out->force, LAW_NV, LAW_LARGEST)", *tests))
-    yield f"  return {joined};\n}}\n"
+    arguments = "const law_state *before, const law_state *next, const law_out *out"
+    yield f"static bool is_usable({arguments})\n{{\n  uint32_t unusable = 0U;\n  (void)before;"
+    yield from (f"  unusable += {each};" for each in counts)
+    yield "  return unusable == 0U;\n}\n"
 
 
 _CAUSES = {

@@ -174,13 +174,20 @@ class FlightLaw:
             numbers[place] = symbol
         return with_symbols(self.law, numbers, by_sample, traced_model)
 
+    @property
+    def actuation(self) -> tuple[np.ndarray, np.ndarray]:
+        """Limits (nv; infinite: none) and resolutions (nv; zero: none) of the force, N m and N."""
+        settings = self.scenario.actuation
+        given = ((settings.limit, np.inf), (settings.quantization, 0.0))
+        limit, resolution = (
+            self.coordinates.vector(values or {}, key="actuation", default=default)
+            for values, default in given
+        )
+        return limit, resolution
+
     def _limited(self, force: Any) -> Any:
         """A force after limits and quantisation (``actuation``), as in the loop."""
-        settings = self.scenario.actuation
-        limit, resolution = (
-            self.coordinates.vector(given or {}, key="actuation", default=default)
-            for given, default in ((settings.limit, np.inf), (settings.quantization, 0.0))
-        )
+        limit, resolution = self.actuation
         if np.isfinite(limit).any():
             force = np.minimum(np.maximum(force, -limit), limit)
         return quantize(force, resolution) if resolution.any() else force

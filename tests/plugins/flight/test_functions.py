@@ -51,7 +51,7 @@ def element(array, entry):
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
-    texts = [HEAD, HELPERS]
+    texts = [HEAD, HELPERS, static_text("angles.c")]
     for name in ALL:
         tape, row = traced_row(name)
         function = Function(name, tape, {"row": row}, Precision(False))

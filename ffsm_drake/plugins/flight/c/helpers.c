@@ -20,22 +20,37 @@ static void copy(law_real *to, const law_real *from, uint32_t size)
   }
 }
 
-static bool are_within(const law_real *values, uint32_t size, law_real most)
+static uint32_t number_beyond(const law_real *values, uint32_t size, law_real most)
 {
-  bool are = true;
+  uint32_t number = 0U;
   for (uint32_t i = 0U; i < size; ++i) {
-    are = are && (values[i] <= most) && (values[i] >= -most);
+    number += ((values[i] <= most) && (values[i] >= -most)) ? 0U : 1U;
   }
-  return are;
+  return number;
 }
 
-static bool are_usable(const law_real *values, const law_real *before, uint32_t size)
+static uint32_t number_not_finite(const law_real *values, uint32_t size)
 {
-  bool are = true;
+  uint32_t number = 0U;
   for (uint32_t i = 0U; i < size; ++i) {
-    are = are && (((values[i] - values[i]) == (law_real)0) || (values[i] == before[i]));
+    number += ((values[i] - values[i]) == (law_real)0) ? 0U : 1U;
   }
-  return are;
+  return number;
+}
+
+static uint32_t number_changed(const law_real *values, const law_real *before, uint32_t size)
+{
+  uint32_t number = 0U;
+  for (uint32_t i = 0U; i < size; ++i) { /* an infinite one may stay */
+    const bool is_finite = (values[i] - values[i]) == (law_real)0;
+    number += (is_finite || (values[i] == before[i])) ? 0U : 1U;
+  }
+  return number;
+}
+
+static bool are_within(const law_real *values, uint32_t size, law_real most)
+{
+  return number_beyond(values, size, most) == 0U;
 }
 
 static bool is_unit(const law_real *quaternion)

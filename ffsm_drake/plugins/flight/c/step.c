@@ -1,19 +1,29 @@
 static uint32_t warnings_of(const law_in *in, const law_out *out)
 {
   uint32_t warnings = 0U;
+  (void)in;
+  (void)out;
+#if HAS_POSITION_LIMITS
   for (uint32_t i = 6U; i < LAW_NV; ++i) {
     if ((in->q[i + 1U] < LEAST_POSITION[i]) || (in->q[i + 1U] > MOST_POSITION[i])) {
       warnings |= LAW_BEYOND_POSITION;
     }
+  }
+#endif
+#if HAS_RATE_LIMITS
+  for (uint32_t i = 6U; i < LAW_NV; ++i) {
     if ((in->v[i] < LEAST_RATE[i]) || (in->v[i] > MOST_RATE[i])) {
       warnings |= LAW_BEYOND_RATE;
     }
   }
+#endif
+#if CHANGES_FORCE
   for (uint32_t i = 0U; i < LAW_NV; ++i) {
     if (fabs((double)(out->force[i] - out->commanded[i])) > 0.0) {
       warnings |= LAW_FORCE_LIMITED;
     }
   }
+#endif
   return warnings;
 }
 
