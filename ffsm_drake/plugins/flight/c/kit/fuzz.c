@@ -18,7 +18,9 @@
       been bad for more than LAW_MOST_HELD samples, the memory is that of law_start.
    4. Up to LAW_MOST_HELD bad samples hold the last good force; further ones give zero.
    5. After refused inputs, the first good sample is LAW_OK. After inputs that were hostile but
-      accepted, samples are LAW_OK after at most SETTLING good ones. */
+      accepted, samples are LAW_OK after at most SETTLING good ones.
+   6. A mass matrix of a good sample is finite with a positive diagonal, and the reference of any
+      sample is usable. */
 #include <float.h>
 #include <stdbool.h>
 #include <stddef.h>
@@ -44,7 +46,6 @@ typedef struct {
   law_state state;
   law_gains gains;
   uint32_t bad;        /* samples in a row that were not LAW_OK */
-  uint32_t bad_result; /* of them the last ones with good inputs */
   law_real held[LAW_NV];
   bool is_strange; /* hostile inputs were accepted since the last law_start */
   uint32_t good;   /* good samples in a row */
@@ -187,7 +188,6 @@ static void check_bad(flight *own, const law_state *before, const law_out *out)
   const law_real none[LAW_NV] = {0};
   law_state expected = *before;
   check((out->causes & ~31U) == 0U, "an unknown cause");
-  own->bad_result = (out->causes == LAW_BAD_RESULT) ? (own->bad_result + 1U) : 0U;
   if (own->bad < LAW_MOST_HELD) {
     check(out->status == (uint32_t)LAW_HOLDS, "rule 4: a bad sample that does not hold");
     check(have_same_bits(out->force, own->held, sizeof own->held), "rule 4: not the last force");
@@ -211,7 +211,7 @@ static void check_bad(flight *own, const law_state *before, const law_out *out)
 static law_status step(flight *own, const law_in *in)
 {
   const law_state before = own->state;
-  law_real memory[NUM_STATE];
+  law_real memory[NUM_STATE], kept[NUM_STATE];
   const uint32_t bad = surely_bad(in);
   law_out out;
   law_status status;
@@ -234,12 +234,14 @@ static law_status step(flight *own, const law_in *in)
     return status;
   }
   memcpy(memory, &own->state, sizeof memory);
-  check(are_good(memory, NUM_STATE, LARGEST_REAL), "rule 1: memory that is not finite");
+  memcpy(kept, &before, sizeof kept);
+  for (i = 0; i < NUM_STATE; ++i) { /* a gain without a bound may begin as infinite */
+    check(is_finite(memory[i]) || (memory[i] == kept[i]), "rule 1: memory that is not finite");
+  }
   check(own->state.bad == 0U, "the number of bad samples after a good one");
   check(own->state.has_previous == 1U, "no previous sample after a good one");
   memcpy(own->held, out.force, sizeof own->held);
   own->bad = 0U;
-  own->bad_result = 0U;
   return status;
 }
 
@@ -250,13 +252,42 @@ static const law_in *next_good(flight *own)
   return in;
 }
 
+static void evaluate_mass_matrices(const law_in *in, bool is_good)
+{
+  law_real H[LAW_NV][LAW_NV];
+  size_t i;
+  law_mass_matrix(in->q, H);
+#if LAW_HAS_CAPTURE
+  if (in->holds == 0U) {
+    law_mass_matrix_without_target(in->q, H);
+  }
+#endif
+  for (i = 0; (i < LAW_NV) && is_good; ++i) {
+    check(are_good(H[i], LAW_NV, LARGEST_REAL), "rule 6: a mass matrix that is not finite");
+    check(H[i][i] > (law_real)0, "rule 6: a diagonal that is not positive");
+  }
+}
+
+static void evaluate_reference(law_in *in, uint32_t sample)
+{
+#if LAW_HAS_REFERENCE
+  law_reference(sample, in);
+  check(in->sample == sample, "rule 6: the number of a sample");
+  check((surely_bad(in) & LAW_BAD_REFERENCE) == 0U, "rule 6: a reference that is not usable");
+#else
+  in->sample = sample;
+#endif
+}
+
 /* Rule 5. */
 static void good_samples(flight *own, uint32_t count)
 {
   uint32_t i;
   own->gains = LAW_GAINS;
   for (i = 0U; i < count; ++i) {
-    const law_status status = step(own, next_good(own));
+    const law_in *in = next_good(own);
+    const law_status status = step(own, in);
+    evaluate_mass_matrices(in, true);
     ++own->good;
     if (status != LAW_OK) {
       check(own->is_strange, "rule 5: a good sample after refused ones is bad");
@@ -268,6 +299,7 @@ static void good_samples(flight *own, uint32_t count)
 static void hostile_sample(flight *own, const law_in *in)
 {
   ++num_hostile;
+  evaluate_mass_matrices(in, false);
   own->good = 0U;
   if (step(own, in) == LAW_OK) {
     own->is_strange = true;
@@ -375,7 +407,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         hostile_sample(&own, &in);
         break;
       case 12:
-        in.sample = next_whole(&source);
+        evaluate_reference(&in, next_whole(&source) >> (next_byte(&source) & 31U));
         in.is_first = next_byte(&source);
         in.holds = next_byte(&source) & 3U;
         hostile_sample(&own, &in);
