@@ -153,7 +153,7 @@ class Function:
         name = _OWN.get(kind) or self._precision.called(kind)
         return f"{name}({', '.join(given)})"
 
-    def _value(self, value: int | float) -> str:
+    def _value(self, value: Any) -> str:
         """A value of an operation, or a constant."""
         if isinstance(value, int):
             return f"t{value}"
