@@ -11,7 +11,7 @@ REPLAY = "replay.txt"
 _FOLDER = Path(__file__).parent / "c" / "kit"
 
 
-def write_kit(folder: Path, stem: str, replay_text: str) -> list[Path]:
+def write_kit(folder: Path, stem: str, replay_text: str, *, tolerance: float = 0.0) -> list[Path]:
     """Write the kit of a law into a folder. ``replay.txt`` is written anew; other files that are
     there stay.
 
@@ -19,6 +19,7 @@ def write_kit(folder: Path, stem: str, replay_text: str) -> list[Path]:
       folder: of the law's source file and header.
       stem: their name without .c and .h.
       replay_text: ``Recorded.text`` of a run of the law.
+      tolerance: of the replay, as a share of the largest force; 0: bit for bit.
 
     Returns: the paths of the kit's files.
 
@@ -26,7 +27,7 @@ def write_kit(folder: Path, stem: str, replay_text: str) -> list[Path]:
       FfsmError: a file of the kit would be the law's or replace another one, and nothing has been
         written; or the place cannot be written.
     """
-    made = {folder / name: text for name, text in _texts(stem)}
+    made = {folder / name: text for name, text in _texts(stem, tolerance)}
     for path, text in made.items():
         if path.exists() and (not path.is_file() or path.read_bytes() != text.encode()):
             raise FfsmError(f"{path} is there and differs from the kit's; move it, or export to "
@@ -37,7 +38,7 @@ def write_kit(folder: Path, stem: str, replay_text: str) -> list[Path]:
     return [*made, folder / REPLAY]
 
 
-def _texts(stem: str) -> Iterator[tuple[str, str]]:
+def _texts(stem: str, tolerance: float) -> Iterator[tuple[str, str]]:
     """The files by name. They include ``law.h``, and the Makefile has it as LAW."""
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*", stem):
         problem = "a kit needs a name of letters, digits and _ . + -, for its Makefile"
@@ -48,6 +49,10 @@ def _texts(stem: str) -> Iterator[tuple[str, str]]:
         if path.suffix in (".c", ".h") and path.stem == stem:
             raise FfsmError(f"{stem}.c: a file of the kit has this name; give another")
         text = path.read_text(encoding="utf-8")
-        for own, law in (('"law.h"', f'"{stem}.h"'), ("\nLAW = law\n", f"\nLAW = {stem}\n")):
+        for own, law in (
+            ('"law.h"', f'"{stem}.h"'),
+            ("\nLAW = law\n", f"\nLAW = {stem}\n"),
+            ("\nTOLERANCE =\n", f"\nTOLERANCE = {tolerance:g}\n"),
+        ):
             text = text.replace(own, law)
         yield str(path.relative_to(_FOLDER)), text
