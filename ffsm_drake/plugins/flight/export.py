@@ -8,7 +8,6 @@ from pathlib import Path
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.files import write_text
-from ffsm_drake.common.numbers import percent
 from ffsm_drake.plugins.flight.kit import write_kit
 from ffsm_drake.plugins.flight.law import LawFiles
 from ffsm_drake.plugins.flight.recorded import recorded
@@ -48,9 +47,9 @@ def write_c(
         tolerance, equal = (0.0, "bit for bit") if run.exact else (_ROUNDING, "within rounding")
         if float32:
             loss = _loss(made, header.name, run.text())
-            tolerance, equal = (2.0 * loss or 1.0, f"within {percent(2.0 * loss)}")
-            lines.append(f"single precision changes the force by up to {percent(loss)} of the "
-                         "largest one, in the run of the scenario")  # fmt: skip
+            tolerance, equal = (2.0 * loss or 1.0, f"within {2.0 * loss:.2g} of the largest force")
+            lines.append(f"single precision changes the force by up to {loss:.2g} of the largest "
+                         "one, in the run of the scenario")  # fmt: skip
     if kit:
         files = write_kit(path.parent, path.stem, run.text(), tolerance=tolerance)
         lines.append(f"kit: {', '.join(str(each.relative_to(path.parent)) for each in files)}")

@@ -12,9 +12,10 @@ from ffsm_drake.plugins.flight.recorded import OPTIONAL, _tapped, recorded
     ("name", "given", "reads"),
     [
         pytest.param("postcapture", ["duration=0.3"], (), marks=pytest.mark.smoke),
-        ("slow_navigation", ["duration=1.5"], ("measurement_is_new",)),
-        ("free_floating", ["duration=0.3"], ("desired_frame",)),
-        ("flight_sensors", ["duration=0.3", "command_filter.low_pass.joints=30"], ()),
+        pytest.param(
+            "slow_navigation", ["duration=1.5"], ("measurement_is_new",), marks=pytest.mark.slow
+        ),
+        pytest.param("free_floating", ["duration=0.3"], ("desired_frame",), marks=pytest.mark.slow),
         pytest.param("tumbling_capture", ["duration=21"], (), marks=pytest.mark.slow),
     ],
 )
