@@ -106,21 +106,20 @@ def _comment(text: str) -> str:
 def _macros(layout: Layout, *, has_reference: bool) -> Iterator[str]:
     scenario, number = layout.scenario, layout.precision.number
     inputs = {each.name: each.size for each in layout.fields["in"]}
-    values = {
-        "NQ": layout.nq,
-        "NV": layout.nv,
-        "SAMPLE_TIME": number(scenario.sample_time),
-        "NUM_INPUTS": sum(inputs.values()),
-        "READS_IS_NEW": int("is_new" in inputs),
-        "READS_FRAME": int("desired_frame" in inputs),
-        "NUM_WRENCHES": inputs.get("measured_wrench", 0),
-        "HAS_REFERENCE": int(has_reference),
-        "HAS_CAPTURE": int(layout.captures),
-        # over so many bad samples in a row the last force is held
-        "HELD_SAMPLES": f"{max(1, round(HELD_FOR / scenario.sample_time))}U",
-        # inputs are good up to these sizes, and the square of a quaternion's norm so near to 1
-        "LARGEST": number(LARGEST),
-        "FASTEST": number(scenario.divergence_speed),
-        "NORM": number(NORM),
-    }
-    yield from (f"#define LAW_{name} {value}" for name, value in values.items())
+    macros = [
+        ("NQ", layout.nq, "numbers in q"),
+        ("NV", layout.nv, "numbers in v"),
+        ("SAMPLE_TIME", number(scenario.sample_time), "between calls of law_step, s"),
+        ("NUM_INPUTS", sum(inputs.values()), "numbers at the begin of law_in"),
+        ("READS_IS_NEW", int("is_new" in inputs), "1: law_in has is_new"),
+        ("READS_FRAME", int("desired_frame" in inputs), "1: law_in has desired_frame"),
+        ("NUM_WRENCHES", inputs.get("measured_wrench", 0), "numbers in measured_wrench"),
+        ("HAS_REFERENCE", int(has_reference), "1: there is law_reference"),
+        ("HAS_CAPTURE", int(layout.captures), "1: law_in.holds matters"),
+        ("HELD_SAMPLES", f"{max(1, round(HELD_FOR / scenario.sample_time))}U", "in 0.1 s"),
+        ("LARGEST", number(LARGEST), "of a good input or force, rad, m, N m, N"),
+        ("FASTEST", number(scenario.divergence_speed), "of a good v, rad/s or m/s"),
+        ("NORM", number(NORM), "of a good quaternion: |norm^2 - 1|"),
+    ]
+    for name, value, about in macros:
+        yield f"#define LAW_{name} {value} /* {about} */"

@@ -112,19 +112,21 @@ def _sample(
     if PLANNED in layout.reads:
         planned = f"planned_at{suffix}(in)"
         yield from _planned(layout, law, suffix, references)
-    for function in (first, other):
-        arguments = f"const law_real *planned, {_ANY}"
-        yield function.text(arguments, layout.source(holds=holds), layout.target(holds=holds))
-    yield f"""static void any_sample{suffix}(bool is_first, {_ANY})
-{{
-  const law_real *planned = {planned};
-  if (is_first) {{
+    arguments = f"const law_real *planned, {_ANY}"
+    source, target = layout.source(holds=holds), layout.target(holds=holds)
+    at_first, later = (each.text(arguments, source, target) for each in (first, other))
+    yield later
+    chosen = f"  (void)is_first;\n  sample{suffix}(planned, {_GIVEN});\n"
+    if at_first.replace(f"first_sample{suffix}(", f"sample{suffix}(") != later:
+        yield at_first
+        chosen = f"""  if (is_first) {{
     first_sample{suffix}(planned, {_GIVEN});
   }} else {{
     sample{suffix}(planned, {_GIVEN});
   }}
-}}
 """
+    head = f"static void any_sample{suffix}(bool is_first, {_ANY})"
+    yield f"{head}\n{{\n  const law_real *planned = {planned};\n{chosen}}}\n"
 
 
 def _planned(layout: Layout, law: FlightLaw, suffix: str, references: References) -> Iterator[str]:
