@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -51,9 +52,10 @@ def recorded(scenario: Scenario, reads: Collection[str]) -> Recorded:
     optional = [name for name in OPTIONAL if name in reads]
     plain = scenario.faults is None and scenario.supervisor is None and not scenario.contacts
     if plain and not scenario.blocks.choices():
-        (log,) = Compiled().run_all([scenario])
-        if isinstance(log, RunLog):
-            return _of_log(log, law, optional)
+        with suppress(FfsmError):  # llvmlite is an extra
+            (log,) = Compiled().run_all([scenario])
+            if isinstance(log, RunLog):
+                return _of_log(log, law, optional)
     return _tapped(scenario, optional)
 
 

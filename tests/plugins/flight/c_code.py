@@ -2,6 +2,7 @@
 
 import ctypes
 import shutil
+from importlib.util import find_spec
 
 import pytest
 from children import finished
@@ -10,6 +11,9 @@ COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 FLAGS = [
     "-std=c99", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror", "-ffp-contract=off",
 ]  # fmt: skip
+needs_llvm = pytest.mark.skipif(
+    find_spec("llvmlite") is None, reason="needs llvmlite, of the extra compiled"
+)
 needs_c = pytest.mark.skipif("gcc" not in COMPILERS, reason="needs gcc (apt install gcc)")
 
 

@@ -8,12 +8,13 @@ import re
 import shutil
 
 import pytest
-from c_code import COMPILERS, compiled, needs_c
+from c_code import COMPILERS, compiled, needs_c, needs_llvm
 from children import finished
 from drawn_laws import CRAFT, TRACEABLE, drawn, users_scenario
 
 from ffsm_drake import FfsmError, export
 
+pytestmark = needs_llvm
 DRAWS = int(os.environ.get("FFSM_DRAWS", len(TRACEABLE) * len(CRAFT)))
 ARM = shutil.which("arm-linux-gnueabihf-gcc") and shutil.which("qemu-arm")
 BUILDS = [(name, level, []) for name in COMPILERS for level in ("-O0", "-O2")]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from c_code import call, loaded, needs_c
+from c_code import call, loaded, needs_c, needs_llvm
 from compiled_equations import of_copies, text_of_traced
 from tape_cases import CASES
 
@@ -12,6 +12,7 @@ from ffsm_drake.plugins.flight.header import static_text
 from ffsm_drake.tape.arrays import inputs, repeated
 from ffsm_drake.tape.numbers import Tape, number
 
+pytestmark = needs_llvm
 SIZE = 4
 HEAD = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\ntypedef double law_real;\n"
 HELPERS = static_text("helpers.c").split("static uint32_t")[0]  # larger, smaller

@@ -4,12 +4,14 @@ difference, and its fuzz target finds each broken rule.
 
 import numpy as np
 import pytest
+from c_code import needs_llvm
 from flight_kit import exported, make, need, run
 
 from ffsm_drake import FfsmError, load_scenario
 from ffsm_drake.plugins.flight.kit import write_kit
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 
+pytestmark = needs_llvm
 SHORT = ("controller=tde_aismc", "duration=0.5")
 
 

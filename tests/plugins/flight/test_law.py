@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -20,7 +21,9 @@ from ffsm_drake import (
     simulate,
 )
 from ffsm_drake.cli import main
+from ffsm_drake.plugins.compiled.compiling import llvm
 from ffsm_drake.plugins.flight.law import LawFiles
+from ffsm_drake.plugins.flight.recorded import recorded
 from ffsm_drake.scenario import scenario_to_yaml
 
 SIZES = """
@@ -162,3 +165,12 @@ def test_a_law_that_cannot_be_exported_leaves_no_file(tmp_path):
     assert done.exit_code == 2
     assert done.output.startswith("error: controller 'mpc' cannot be exported as C: ")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_without_llvmlite_the_replay_is_that_of_a_run_on_drake(monkeypatch):
+    monkeypatch.setitem(sys.modules, "llvmlite.binding", None)
+    llvm.cache_clear()
+    try:
+        assert not recorded(load_scenario("postcapture", ["duration=0.05"]), ()).exact
+    finally:
+        llvm.cache_clear()

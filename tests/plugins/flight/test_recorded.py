@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+from c_code import needs_llvm
 
 from ffsm_drake import FfsmError, load_scenario
 from ffsm_drake.plugins.flight.law import LawFiles
 from ffsm_drake.plugins.flight.recorded import OPTIONAL, _tapped, recorded
+
+pytestmark = needs_llvm
 
 
 @pytest.mark.parametrize(
