@@ -39,7 +39,7 @@ def write_fmu(
     be written.
     """
     files, law = LawFiles.of(scenario, single=float32, table=table), FlightLaw(scenario, HELD)
-    macros = dict(re.findall(r"#define LAW_(\w+) (\d+)$", files.header, re.MULTILINE))
+    macros = dict(re.findall(r"#define LAW_(\w+) (\d+) /", files.header, re.MULTILINE))
     has = {name: int(value) for name, value in macros.items()}
     gains = list(_gains(law))
     variables = [TIME, *_inputs(law.coordinates, has), *gains, *_switches(has)]
