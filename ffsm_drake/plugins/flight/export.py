@@ -47,13 +47,14 @@ def write_c(
         tolerance, equal = (0.0, "bit for bit") if run.exact else (_ROUNDING, "within rounding")
         if float32:
             loss = _loss(made, header.name, run.text())
-            tolerance, equal = (2.0 * loss or 1.0, f"within {2.0 * loss:.2g} of the largest force")
-            lines.append(f"single precision changes the force by up to {loss:.2g} of the largest "
-                         "one, in the run of the scenario")  # fmt: skip
+            tolerance, equal = (2.0 * loss or 1.0, f"within {200.0 * loss:.2g} %")
+            lines.append("single precision: the force of a run differs by up to "
+                         f"{100.0 * loss:.2g} % of the largest force of its kind")  # fmt: skip
     if kit:
         files = write_kit(path.parent, path.stem, run.text(), tolerance=tolerance)
         lines.append(f"kit: {', '.join(str(each.relative_to(path.parent)) for each in files)}")
-        lines.append(f"make -C {path.parent} check replays a run, which must be equal {equal}")
+        place = "" if path.parent == Path() else f" -C {path.parent}"
+        lines.append(f"make{place} check replays a recorded run; forces must be equal {equal}")
     write_text(header, made.header)
     write_text(path, made.source)
     return lines

@@ -1,11 +1,12 @@
 /* Replay of a recorded run: law_step computes the force of every sample, and this program compares
    it with the recorded one.
 
-     replay [TOLERANCE [FILE]]
+     replay [TOLERANCE [FILE [matrices]]]
 
    TOLERANCE  largest difference, as a share of the largest recorded force of its kind;
               default 0, which compares bit for bit, and 1e-3 in single precision
    FILE       default replay.txt
+   matrices   also print the mass matrices at the first sample
 
    Exit codes: 0 all is equal; 1 a difference, or a sample with another status than LAW_OK;
    2 the arguments or the file are not usable. */
@@ -80,7 +81,7 @@ static bool forces_are_equal(const recorded_sample *samples, size_t count, doubl
   }
   printf("\nforces with other bits: %lu of %lu", (unsigned long)different,
          (unsigned long)(count * LAW_NV));
-  if (!IS_SINGLE) {
+  if (!IS_SINGLE && (different != 0)) {
     printf(", by at most %llu units in the last place", (unsigned long long)units);
   }
   printf("\n");
@@ -162,7 +163,7 @@ static void print_matrix(const char *name, law_real H[LAW_NV][LAW_NV])
   }
 }
 
-static bool mass_matrices_are_good(const recorded_sample *samples, size_t count)
+static bool mass_matrices_are_good(const recorded_sample *samples, size_t count, bool are_printed)
 {
   law_real H[LAW_NV][LAW_NV];
   bool are = true;
@@ -170,13 +171,13 @@ static bool mass_matrices_are_good(const recorded_sample *samples, size_t count)
   for (k = 0; k < count; ++k) {
     law_mass_matrix(samples[k].in.q, H);
     are = are && is_a_mass_matrix(H);
-    if (k == 0) {
+    if (are_printed && (k == 0)) {
       print_matrix("law_mass_matrix", H);
     }
 #if LAW_HAS_CAPTURE
     law_mass_matrix_without_target(samples[k].in.q, H);
     are = are && is_a_mass_matrix(H);
-    if (k == 0) {
+    if (are_printed && (k == 0)) {
       print_matrix("law_mass_matrix_without_target", H);
     }
 #endif
@@ -195,12 +196,12 @@ int main(int argc, char **argv)
   if (argc > 1) {
     tolerance = strtod(argv[1], &end);
   }
-  if ((argc > 3) || ((argc > 1) && ((*end != '\0') || !(tolerance >= 0.0)))) {
-    (void)fprintf(stderr, "usage: replay [TOLERANCE [FILE]]; TOLERANCE is a number from 0\n");
+  if ((argc > 4) || ((argc > 3) && (strcmp(argv[3], "matrices") != 0)) || ((argc > 1) && ((*end != '\0') || !(tolerance >= 0.0)))) {
+    (void)fprintf(stderr, "usage: replay [TOLERANCE [FILE [matrices]]]; TOLERANCE is a number from 0\n");
     return 2;
   }
   samples = read_recording(path, &count);
-  matrices = mass_matrices_are_good(samples, count);
+  matrices = mass_matrices_are_good(samples, count, argc > 3);
   forces = forces_are_equal(samples, count, tolerance);
   reference = reference_is_equal(samples, count);
   free(samples);
