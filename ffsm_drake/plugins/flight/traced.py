@@ -30,7 +30,7 @@ from ffsm_drake.systems.controllers.law import Gain, gains_of
 from ffsm_drake.systems.controllers.law_block import LawBlock
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.quantization import quantize
-from ffsm_drake.systems.reference import make_frame_motion, make_motion
+from ffsm_drake.systems.reference import make_frame_motion, make_motion, prescribes_frame
 from ffsm_drake.systems.sampled import Now
 from ffsm_drake.tape.arrays import inputs, traced
 from ffsm_drake.tape.numbers import NotTraceable, Symbol, Tape, none_caught, number
@@ -114,6 +114,8 @@ class FlightLaw:
         law = self._with_symbols(tape)
         block = LawBlock(law, self.coordinates, errors=tracking_errors)
         given = {name: inputs(tape, name, (size,)) for name, size in block.inputs.items()}
+        if not prescribes_frame(self.scenario):
+            given.pop("desired_frame", None)
         memory, _ = parted(self._input(tape, "memory", self.memory), self.memory)
         now = Now(0.0, is_first=is_first)
         outputs, after = stepped(block, block.outputs, given, memory, now)
