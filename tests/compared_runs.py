@@ -5,7 +5,10 @@ import numpy as np
 from ffsm_drake import load_scenario, simulate_many
 
 # share of a signal's largest value, or of one unit
-SAME = {"position": 1e-10, "velocity": 1e-10, "error": 1e-10}  # m, rad, and per second
+SAME = {
+    "position": 1e-10, "velocity": 1e-10, "error": 1e-10,  # m, rad, and per second
+    "thruster_given": 1e-6,  # the solution of a linear program with a tolerance of 1e-7
+}  # fmt: skip
 OTHERS = 1e-7
 
 

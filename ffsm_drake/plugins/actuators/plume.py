@@ -18,7 +18,7 @@ from ffsm_drake.scenario import Actuation, Model, Plume, Scenario, Thruster, thr
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.distance import Solids
 from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
-from ffsm_drake.spacecraft.plant import base_body, configuration, find_body
+from ffsm_drake.spacecraft.plant import base_body, configuration, files_read, find_body
 
 _LEAST = 1e-4  # m; rays do not meet a shape that is nearer to their nozzle or around it
 _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))  # rad
@@ -109,7 +109,7 @@ class PlumeField:
         return self._solids.first_met(p, u, [*near, *range(count, count + len(self._at))])
 
 
-@memoized(maxsize=16)
+@memoized(maxsize=16, files=files_read)
 def returned_shares(scenario: Scenario) -> dict[str, float]:
     """For each thruster of a scenario with plumes, the largest share of its thrust returned by its
     plume, in ``initial_posture`` and ``target_posture``.

@@ -19,7 +19,7 @@ from ffsm_drake.scenario.capture import Approach
 from ffsm_drake.spacecraft.clearance import shapes_of
 from ffsm_drake.spacecraft.grasp import Contact
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
-from ffsm_drake.spacecraft.plant import posture_of
+from ffsm_drake.spacecraft.plant import files_read, posture_of
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.limits import DIRECTIONS, actuation_limit
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -61,7 +61,7 @@ def given_approach(scenario: Scenario) -> Approach:
     return dataclasses.replace(approach, posture=posture, start="given")
 
 
-@memoized(maxsize=128)  # a campaign asks for those of a batch before it runs them
+@memoized(maxsize=128, files=files_read)  # a campaign asks for a batch before it runs it
 @step("searching for a start without contact")
 def _clear_start(scenario: Scenario) -> Posture:
     approach = scenario.approach
