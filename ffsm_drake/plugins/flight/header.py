@@ -60,7 +60,7 @@ def _lines(layout: Layout, file: str, operations: int, *, has_reference: bool) -
         yield from (f"  {field}" for field in fields or ["uint32_t none; /* the law has none */"])
         yield f"}} law_{name};"
         yield ""
-    yield static_text("functions.h")
+    yield static_text("functions.h").rstrip()
     yield f"void law_mass_matrix({MATRIX});"
     if layout.captures:
         yield f"void law_mass_matrix{WITHOUT}({MATRIX});"
