@@ -27,18 +27,18 @@ def write_kit(folder: Path, stem: str, replay_text: str, *, tolerance: float = 0
       FfsmError: a file of the kit would be the law's or replace another one, and nothing has been
         written; or the place cannot be written.
     """
-    made = {folder / name: text for name, text in _texts(stem, tolerance)}
+    made = {folder / name: text for name, text in _texts(stem)}
     for path, text in made.items():
         if path.exists() and (not path.is_file() or path.read_bytes() != text.encode()):
             raise FfsmError(f"{path} is there and differs from the kit's; move it, or export to "
                             "another folder")  # fmt: skip
     for path, text in made.items():
         write_text(path, text)
-    write_text(folder / REPLAY, replay_text)
+    write_text(folder / REPLAY, f"# tolerance {tolerance:g}\n{replay_text}")
     return [*made, folder / REPLAY]
 
 
-def _texts(stem: str, tolerance: float) -> Iterator[tuple[str, str]]:
+def _texts(stem: str) -> Iterator[tuple[str, str]]:
     """The files by name. They include ``law.h``, and the Makefile has it as LAW."""
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*", stem):
         problem = "a kit needs a name of letters, digits and _ . + -, for its Makefile"
@@ -49,10 +49,6 @@ def _texts(stem: str, tolerance: float) -> Iterator[tuple[str, str]]:
         if path.suffix in (".c", ".h") and path.stem == stem:
             raise FfsmError(f"{stem}.c: a file of the kit has this name; give another")
         text = path.read_text(encoding="utf-8")
-        for own, law in (
-            ('"law.h"', f'"{stem}.h"'),
-            ("\nLAW = law\n", f"\nLAW = {stem}\n"),
-            ("\nTOLERANCE =\n", f"\nTOLERANCE = {tolerance:g}\n"),
-        ):
+        for own, law in (('"law.h"', f'"{stem}.h"'), ("\nLAW = law\n", f"\nLAW = {stem}\n")):
             text = text.replace(own, law)
         yield str(path.relative_to(_FOLDER)), text

@@ -33,14 +33,15 @@ def test_a_replay_has_the_bits_of_the_run(kit):
     text = run(kit, "build/replay-replay", "0", "replay.txt", "matrices")
     rows = text.partition("law_mass_matrix at the first sample:\n")[2].splitlines()[:11]
     nominal = make_nominal_plant(load_scenario("postcapture", SHORT))
-    first = (kit / "replay.txt").read_text().split("\n")[0].split()
+    first = (kit / "replay.txt").read_text().split("\n")[1].split()
     q = np.array([float.fromhex(each) for each in first[3:15]])
     found = np.array([[float(each) for each in row.split()] for row in rows])
     np.testing.assert_allclose(found, nominal.calc_mass_matrix(q), rtol=1e-12, atol=1e-11)
 
 
 def changed(kit, line, column, value):
-    """A recorded run with another number."""
+    """A recorded run with another number in the line of a sample."""
+    line += 1  # after the tolerance
     lines = (kit / "replay.txt").read_text().splitlines()
     words = lines[line].split()
     words[column] = value(words[column])
@@ -87,7 +88,7 @@ def test_a_replay_finds_other_forces_statuses_and_references(kit, column, value,
 )
 def test_a_replay_refuses_a_damaged_file(kit, column, value, expected):
     text = run(kit, "build/replay-replay", "0", changed(kit, 5, column, value), code=2)
-    assert text.startswith(f"changed.txt:6: {expected}")
+    assert text.startswith(f"changed.txt:7: {expected}")
     assert text.count("\n") == 1
 
 
@@ -135,7 +136,7 @@ def test_a_kit_keeps_files_that_are_there(tmp_path):
     assert "\nLAW = arm_law\n" in (tmp_path / "Makefile").read_text()
     assert '#include "arm_law.h"' in (tmp_path / "recording.h").read_text()
     assert written == write_kit(tmp_path, "arm_law", "2\n")
-    assert (tmp_path / "replay.txt").read_text() == "2\n"
+    assert (tmp_path / "replay.txt").read_text() == "# tolerance 0\n2\n"
 
 
 @pytest.mark.parametrize("stem", ["replay", "fuzz", "my law", "law$(x)", "-law"])

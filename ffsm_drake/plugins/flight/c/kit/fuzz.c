@@ -52,8 +52,7 @@ typedef struct {
   size_t next;     /* good sample of the recorded run */
 } flight;
 
-static recorded_sample *recorded;
-static size_t num_recorded;
+static recording run;
 static const char *path = "replay.txt";
 static unsigned long num_steps, num_hostile, num_by_status[3], num_restarts;
 
@@ -247,8 +246,8 @@ static law_status step(flight *own, const law_in *in)
 
 static const law_in *next_good(flight *own)
 {
-  const law_in *in = &recorded[own->next].in;
-  own->next = (own->next + 1U) % num_recorded;
+  const law_in *in = &run.samples[own->next].in;
+  own->next = (own->next + 1U) % run.count;
   return in;
 }
 
@@ -350,19 +349,19 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
   uint32_t i;
   source.data = data;
   source.size = size;
-  if (recorded == NULL) {
-    recorded = read_recording(path, &num_recorded);
+  if (run.count == 0U) {
+    run = read_recording(path);
   }
   memset(&own, 0, sizeof own);
   law_start(&own.state);
   own.gains = LAW_GAINS;
-  own.next = next_whole(&source) % num_recorded;
+  own.next = next_whole(&source) % run.count;
   while (source.at < source.size) {
     law_in in = *next_good(&own);
     const uint8_t kind = next_byte(&source) & 15U;
     switch (kind) {
       case 0:
-        own.next = next_whole(&source) % num_recorded;
+        own.next = next_whole(&source) % run.count;
         good_samples(&own, 1U);
         break;
       case 1:
@@ -375,7 +374,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         memset(&own, 0, sizeof own);
         law_start(&own.state);
         own.gains = LAW_GAINS;
-        own.next = next_whole(&source) % num_recorded;
+        own.next = next_whole(&source) % run.count;
         break;
       case 4:
       case 5:
@@ -475,7 +474,7 @@ int main(int argc, char **argv)
   printf("LAW_OK: %lu, LAW_HOLDS: %lu, LAW_ZERO: %lu, memory started anew: %lu\n",
          num_by_status[0], num_by_status[1], num_by_status[2], num_restarts);
   printf("passed\n");
-  free(recorded);
+  free(run.samples);
   return 0;
 }
 #endif

@@ -60,11 +60,24 @@ static void read_line(char *text, const char *path, size_t line, recorded_sample
   made->in.holds = wholes[2];
 }
 
-recorded_sample *read_recording(const char *path, size_t *count)
+/* A comment, which may set the tolerance. */
+static void read_comment(const char *text, const char *path, size_t line, recording *made)
+{
+  static const char name[] = "# tolerance ";
+  if (strncmp(text, name, sizeof name - 1) == 0) {
+    char *end;
+    made->tolerance = strtod(&text[sizeof name - 1], &end);
+    if ((*end != '\n') || !(made->tolerance >= 0.0)) {
+      refuse(path, line, "the tolerance must be a number from 0; export this law again");
+    }
+  }
+}
+
+recording read_recording(const char *path)
 {
   static char text[LONGEST_LINE];
-  recorded_sample *samples = NULL;
-  size_t room = 0, line = 0, found = 0;
+  recording made = {NULL, 0, 0.0};
+  size_t room = 0, line = 0;
   FILE *file = fopen(path, "r");
   if (file == NULL) {
     refuse(path, 0, "cannot be opened; run this program in the folder of the kit");
@@ -75,24 +88,24 @@ recorded_sample *read_recording(const char *path, size_t *count)
       refuse(path, line, "the line is too long; export this law again");
     }
     if (text[0] == '#') {
+      read_comment(text, path, line, &made);
       continue;
     }
-    if (found == room) {
+    if (made.count == room) {
       recorded_sample *more;
       room = (room == 0) ? 1024 : (2 * room);
-      more = realloc(samples, room * sizeof *samples);
+      more = realloc(made.samples, room * sizeof *more);
       if (more == NULL) {
         refuse(path, line, "not enough memory");
       }
-      samples = more;
+      made.samples = more;
     }
-    read_line(text, path, line, &samples[found]);
-    ++found;
+    read_line(text, path, line, &made.samples[made.count]);
+    ++made.count;
   }
-  if (ferror(file) || (found == 0)) {
+  if (ferror(file) || (made.count == 0)) {
     refuse(path, line, "no samples; export this law again");
   }
   (void)fclose(file);
-  *count = found;
-  return samples;
+  return made;
 }

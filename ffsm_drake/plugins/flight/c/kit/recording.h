@@ -12,7 +12,13 @@ typedef struct {
   double commanded[LAW_NV];      /* expected of law_step */
 } recorded_sample;
 
-/* All samples of a file. If it is not usable, prints the reason and exits with the code 2. */
-recorded_sample *read_recording(const char *path, size_t *count);
+typedef struct {
+  recorded_sample *samples; /* free them */
+  size_t count;
+  double tolerance; /* of a replay, as a share of the largest force; 0: bit for bit */
+} recording;
+
+/* The samples of a file. If it is not usable, prints the reason and exits with the code 2. */
+recording read_recording(const char *path);
 
 #endif

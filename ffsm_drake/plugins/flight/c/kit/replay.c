@@ -4,7 +4,7 @@
      replay [TOLERANCE [FILE [matrices]]]
 
    TOLERANCE  largest difference, as a share of the largest recorded force of its kind;
-              default 0, which compares bit for bit, and 1e-3 in single precision
+              0 compares bit for bit; default: as the file says
    FILE       default replay.txt
    matrices   also print the mass matrices at the first sample
 
@@ -20,7 +20,6 @@
 #include "recording.h"
 
 #define IS_SINGLE (sizeof(law_real) < sizeof(double))
-#define DEFAULT_TOLERANCE (IS_SINGLE ? 1e-3 : 0.0)
 #define NUM_KINDS 3
 static const char *const KINDS[NUM_KINDS] = {
   "torque of the base, N m", "force of the base, N", "joints, N m or N"};
@@ -188,23 +187,24 @@ static bool mass_matrices_are_good(const recorded_sample *samples, size_t count,
 int main(int argc, char **argv)
 {
   const char *path = (argc > 2) ? argv[2] : "replay.txt";
-  double tolerance = DEFAULT_TOLERANCE;
+  double tolerance = 0.0;
   char *end = NULL;
-  recorded_sample *samples;
-  size_t count;
+  recording run;
   bool forces, reference, matrices;
   if (argc > 1) {
     tolerance = strtod(argv[1], &end);
   }
-  if ((argc > 4) || ((argc > 3) && (strcmp(argv[3], "matrices") != 0)) || ((argc > 1) && ((*end != '\0') || !(tolerance >= 0.0)))) {
-    (void)fprintf(stderr, "usage: replay [TOLERANCE [FILE [matrices]]]; TOLERANCE is a number from 0\n");
+  if ((argc > 4) || ((argc > 3) && (strcmp(argv[3], "matrices") != 0))
+      || ((argc > 1) && ((*end != '\0') || !(tolerance >= 0.0)))) {
+    (void)fprintf(stderr, "usage: replay [TOLERANCE [FILE [matrices]]], TOLERANCE from 0\n");
     return 2;
   }
-  samples = read_recording(path, &count);
-  matrices = mass_matrices_are_good(samples, count, argc > 3);
-  forces = forces_are_equal(samples, count, tolerance);
-  reference = reference_is_equal(samples, count);
-  free(samples);
+  run = read_recording(path);
+  tolerance = (argc > 1) ? tolerance : run.tolerance;
+  matrices = mass_matrices_are_good(run.samples, run.count, argc > 3);
+  forces = forces_are_equal(run.samples, run.count, tolerance);
+  reference = reference_is_equal(run.samples, run.count);
+  free(run.samples);
   if (!forces) {
     printf("FAILED: forces differ by more than the tolerance %g, or a status is not LAW_OK\n",
            tolerance);
