@@ -67,8 +67,6 @@ def test_a_record_is_a_program_where_it_is_run(command, imports, here, run):
         pytest.importorskip("ffsm_drake.plugins.exports")
     if command[-1].endswith(".mcap"):
         pytest.importorskip("foxglove")
-    if command[-1].endswith(".fmu"):
-        pytest.importorskip("pythonfmu3")
     run("postcapture", "duration=0.05").save("it")
     path = Path("it/manifest.json")
     data = json.loads(path.read_text())

@@ -39,6 +39,16 @@ def functions(
 
     Raises NotTraceable, or what the law raises on symbols.
     """
+    made = functions_of(blocks, steps=steps, begins=begins)
+    return {
+        name: _function(blocks, registers, name, each, slopes=slopes) for name, each in made.items()
+    }
+
+
+def functions_of(
+    blocks: Blocks, *, steps: int, begins: bool
+) -> dict[str, Callable[[TracedLoop], Made]]:
+    """Return what is traced, by name. Arguments: see ``functions``."""
     scheme = SCHEMES[blocks.scheme]
     made: dict[str, Callable[[TracedLoop], Made]] = {
         "instants": functools.partial(TracedLoop.instants, times=scheme.times),
@@ -60,9 +70,35 @@ def functions(
         made[f"point{i}"] = functools.partial(TracedLoop.point, weights=weights)
     end = functools.partial(TracedLoop.arrived, weights=last, steps=steps)
     made[f"point{len(points)}"] = end
-    return {
-        name: _function(blocks, registers, name, each, slopes=slopes) for name, each in made.items()
+    return made
+
+
+class Traced(NamedTuple):
+    """A function of cells on symbols."""
+
+    tape: Tape
+    reads: dict[str, Any]  # arrays of symbols
+    results: dict[str, list[Any]]
+    sizes: dict[str, int]  # of all cells
+
+
+def traced_function(blocks: Blocks, made: Callable[[TracedLoop], Made]) -> Traced:
+    """Trace a function of cells. Raises NotTraceable, or what the law raises on symbols."""
+    changing = blocks.states | blocks.results
+    sizes = blocks.parameters | changing | blocks.row | COUNTS
+    sizes |= {"t": 1, "state": sizes["x"], "rates": sizes["x"]}
+    tape = Tape()
+    cells = _Cells(tape, sizes)
+    results = {
+        each: [number(one) for one in np.asarray(values, dtype=object).ravel()]
+        for each, values in made(TracedLoop(blocks, cells)).items()
     }
+    for each, values in results.items():
+        if len(values) != sizes[each]:
+            raise NotTraceable(f"size {len(values)} of {each} instead of {sizes[each]}")
+        for one in values:
+            tape.place_of(one)
+    return Traced(tape, cells.read, results, sizes)
 
 
 class _Cells:
@@ -88,28 +124,16 @@ def _function(
     slopes: bool,
 ) -> Function:
     """Trace a function of cells."""
-    changing = blocks.states | blocks.results
-    sizes = blocks.parameters | changing | blocks.row | COUNTS
-    sizes |= {"t": 1, "state": sizes["x"], "rates": sizes["x"]}
-    tape = Tape()
-    cells = _Cells(tape, sizes)
-    results = {
-        each: [number(one) for one in np.asarray(values, dtype=object).ravel()]
-        for each, values in made(TracedLoop(blocks, cells)).items()
-    }
-    for each, values in results.items():
-        if len(values) != sizes[each]:
-            raise NotTraceable(f"size {len(values)} of {each} instead of {sizes[each]}")
-        for one in values:
-            tape.place_of(one)
-    given = {each: sizes[each] for each in cells.read}
+    tape, read, results, sizes = traced_function(blocks, made)
+    given = {each: sizes[each] for each in read}
     if slopes:
         seeds = dict[int, Any]()
+        changing = blocks.states | blocks.results
         times = {f"t{i}" for i in range(len(SCHEMES[blocks.scheme].times))}
-        for each in filter((changing.keys() - times | {"state", *_NOISE}).__contains__, cells.read):
+        for each in filter((changing.keys() - times | {"state", *_NOISE}).__contains__, read):
             given[f"d_{each}"] = sizes[each]
             direction = tape.inputs(f"d_{each}", sizes[each])
-            symbols = [symbol.index for symbol in cells.read[each].ravel()]
+            symbols = [symbol.index for symbol in read[each].ravel()]
             seeds |= dict(zip(symbols, direction, strict=True))
         flat = [value for values in results.values() for value in values]
         slope = iter(tangents(tape, flat, seeds))

@@ -1,18 +1,21 @@
-"""The control law of a scenario as an FMU (FMI 3.0, co-simulation), which needs no Python.
+"""The plant or the law of a scenario as an FMU (FMI 3.0, co-simulation), which needs no Python.
 
-A step is one control sample. At each sample t_k a master sets the inputs, steps the law, and
-applies its force: the force of a sample follows from the measurement of the same sample.
+A step is one control sample. At each sample t_k a master takes the plant's outputs to the law,
+steps the law, takes its force to the plant, and steps the plant: the force of a sample follows from
+the measurement of the same sample.
 """
 
-import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
+from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.plugins.flight.fmu_package import HIDDEN, TIME, Package, Variable, write_package
 from ffsm_drake.plugins.flight.law import LawFiles
+from ffsm_drake.plugins.flight.plant import PlantFiles
 from ffsm_drake.plugins.flight.traced import FlightLaw
 from ffsm_drake.scenario import HELD, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
 
 _FRAME = {
     "quaternion": ("w", "x", "y", "z"),
@@ -22,70 +25,127 @@ _FRAME_UNITS = {"p": "m", "w": "rad/s", "v": "m/s", "alpha": "rad/s^2", "a": "m/
 _FORCES = {"rad": "N m", "m": "N"}  # by the unit of the coordinate
 
 
+PARTS = ("plant", "controller")
+
+
 def write_fmu(
-    scenario: Scenario, path: Path, float32: bool = False, table: bool = False
+    scenario: Scenario, path: Path, part: str = "plant", float32: bool = False, table: bool = False
 ) -> list[str]:
-    """Write the control law of a scenario as an FMU with C code and its compiled library.
+    """Write the plant or the control law of a scenario as an FMU with C code and its library.
 
     Args:
-      scenario: names the law, its gains, estimator, filters, limits and reference.
+      scenario: the scenario.
       path: FILE.fmu.
-      float32: compute in single precision.
-      table: the law's own reference as a table, even if it is a polynomial.
+      part: one of ``PARTS``.
+      float32: compute the law in single precision.
+      table: the reference as a table, even if it is a polynomial.
 
     Returns: a line for each thing to know.
 
-    Raises FfsmError: the law cannot be exported as C, no C compiler is found, or the file cannot
+    Raises FfsmError: the part cannot be exported as C, no C compiler is found, or the file cannot
     be written.
     """
-    files, law = LawFiles.of(scenario, single=float32, table=table), FlightLaw(scenario, HELD)
-    macros = dict(re.findall(r"#define LAW_(\w+) (\d+) /", files.header, re.MULTILINE))
-    has = {name: int(value) for name, value in macros.items()}
-    gains = list(_gains(law))
-    variables = [TIME, *_inputs(law.coordinates, has), *gains, *_switches(has)]
-    variables += of_velocities(
-        "force", law.coordinates, "o", "force of the control law", force=True
-    )
-    variables += _RESULTS
-    package = Package(
+    if part not in PARTS:
+        raise FfsmError(f"--part: must be one of {', '.join(PARTS)}, not '{part}'")
+    if float32 and part == "plant":
+        raise FfsmError("--float32: only for --part controller")
+    if part == "plant":
+        what = "the plant"
+        package = _plant(scenario, PlantFiles.of(scenario, table=table))
+    else:
+        precision = "single" if float32 else "double"
+        what = f"the law {scenario.controller}, in {precision} precision,"
+        package = _law(scenario, LawFiles.of(scenario, single=float32, table=table))
+    folder = write_package(scenario, package, path)
+    return [f"{path}: {what} as an FMU (FMI 3.0) with C code and a library for {folder}"]
+
+
+def _law(scenario: Scenario, files: LawFiles) -> Package:
+    law = FlightLaw(scenario, HELD)
+    gains, variables = list(_gains(law)), [TIME, *_inputs(law, files.reads)]
+    has_reference, grasps = bool(files.reference), bool(scenario.grasps)
+    variables += [*gains, *_switches(has_reference=has_reference, grasps=grasps)]
+    variables += of_velocities("force", law.coordinates, "o", "force of the law", force=True)
+    return Package(
         name="ffsm_law",
-        variables=variables,
+        variables=[*variables, *_RESULTS],
         part="law_part.h",
         sources={"law.h": files.header, "law.c": files.source},
         defined={"FMU_NUM_GAINS": f"{len(gains)}"},
     )
-    folder = write_package(scenario, package, path)
-    precision = "single" if float32 else "double"
-    return [
-        f"{path}: the law {scenario.controller} as an FMU (FMI 3.0), {precision} precision",
-        f"it has C code, and a library for {folder}",
+
+
+def _plant(scenario: Scenario, files: PlantFiles) -> Package:
+    names = make_nominal_plant(scenario).coordinates
+    about = "true mass of the payload; its inertia stays"
+    mass, seed = scenario.payload.truth.mass, float(scenario.random_seed)
+    variables = [
+        TIME,
+        Variable("payload_mass", "f" if files.has_payload else HIDDEN, mass, "kg", about),
+        Variable("seed", "s" if files.has_seed else HIDDEN, seed, "", "seed of the noise"),
+        *of_velocities("force", names, "i", "force of the law", force=True),
     ]
+    for group, *_, size in files.shown:
+        variables += _group(group, size, names, "o")
+    return Package(
+        name="ffsm_plant",
+        variables=variables,
+        part="plant_part.h",
+        sources={"plant.h": files.header, "plant.c": files.source},
+        most_steps=scenario.num_control_periods,
+    )
 
 
-def _inputs(names: Coordinates, has: dict[str, int]) -> Iterator[Variable]:
-    """The numbers of ``law_in``, in its order."""
-    yield from of_positions("measured_position", names, "i", "measured position")
-    yield from of_velocities("measured_velocity", names, "i", "measured velocity", "/s")
-    yield from of_positions("desired_position", names, "i", "reference position")
-    yield from of_velocities("desired_velocity", names, "i", "reference velocity", "/s")
-    yield from of_velocities("desired_acceleration", names, "i", "reference acceleration", "/s^2")
-    about = "force over the last period"
-    yield from of_velocities("applied_force", names, "i", about, force=True)
-    if has["READS_IS_NEW"]:
+_POSITIONS = {
+    "position": "true position",
+    "measured_position": "measured position",
+    "desired_position": "reference position",
+}
+_VELOCITIES = {  # meaning, and what their units are divided by
+    "velocity": ("true velocity", "/s"),
+    "measured_velocity": ("measured velocity", "/s"),
+    "desired_velocity": ("reference velocity", "/s"),
+    "desired_acceleration": ("reference acceleration", "/s^2"),
+    "error": ("tracking error", ""),
+    "error_rate": ("rate of the tracking error", "/s"),
+}
+
+
+def _group(group: str, size: int, names: Coordinates, kind: str) -> Iterator[Variable]:
+    """The variables of a group that both parts can have, in the order of their numbers."""
+    if group in _POSITIONS:
+        yield from of_positions(group, names, kind, _POSITIONS[group])
+    elif group in _VELOCITIES:
+        yield from of_velocities(group, names, kind, *_VELOCITIES[group])
+    elif group == "applied_force":
+        yield from of_velocities(group, names, kind, "force over the last period", force=True)
+    elif group == "is_new":
         yield Variable("", HIDDEN, 1.0)  # the quaternion has one entry more
-        for kind in ("position", "velocity"):
+        for of in ("position", "velocity"):
             for name in names.names:
-                about = f"1: the {kind} is measured anew, 0: it is repeated"
-                yield Variable(f"is_new_{kind}.{name}", "i", 1.0, "", about)
-    if has["READS_FRAME"]:
+                about = f"1: the {of} is measured anew, 0: it is repeated"
+                yield Variable(f"is_new_{of}.{name}", kind, 1.0, "", about)
+    elif group == "desired_frame":
         for name, axes in _FRAME.items():
             for axis in axes:
                 start, unit = float(axis == "w"), _FRAME_UNITS.get(name, "")
                 about = "reference of the frame, in the world"
-                yield Variable(f"desired_frame.{name}_{axis}", "i", start, unit, about)
-    for index in range(has["NUM_WRENCHES"]):
-        unit = "N m" if index % 6 < 3 else "N"
-        yield Variable(f"measured_wrench.{index}", "i", 0.0, unit, "wrench at a contact")
+                yield Variable(f"{group}.{name}_{axis}", kind, start, unit, about)
+    else:
+        for index in range(size):
+            unit = "N m" if index % 6 < 3 else "N"
+            yield Variable(f"{group}.{index}", kind, 0.0, unit, "wrench at a contact")
+
+
+def _inputs(law: FlightLaw, reads: Collection[str]) -> Iterator[Variable]:
+    """The numbers of ``law_in``, in its order."""
+    groups = ["measured_position", "measured_velocity", "desired_position", "desired_velocity"]
+    groups += ["desired_acceleration", "applied_force"]
+    optional = {"measurement_is_new": "is_new", "desired_frame": "desired_frame"}
+    groups += [group for name, group in optional.items() if name in reads]
+    groups += ["measured_wrench"] if "measured_wrench" in reads else []
+    for group in groups:
+        yield from _group(group, law.inputs.get(group, 0), law.coordinates, "i")
 
 
 def _gains(law: FlightLaw) -> Iterator[Variable]:
@@ -106,14 +166,13 @@ def _gains(law: FlightLaw) -> Iterator[Variable]:
                 yield Variable(f"gain.{name}.{index}", "p", value, "" if linear else angular, about)
 
 
-def _switches(has: dict[str, int]) -> Iterator[Variable]:
+def _switches(*, has_reference: bool, grasps: bool) -> Iterator[Variable]:
     about = "true: the reference of the scenario, false: the inputs desired_..."
-    yield Variable("own_reference", "c" if has["HAS_REFERENCE"] else HIDDEN, about=about)
+    yield Variable("own_reference", "c" if has_reference else HIDDEN, about=about)
     about = "true: forget what was a sample ago, as velocities jumped"
     yield Variable("is_first", "b", about=about)
-    yield Variable(
-        "holds_target", "b" if has["HAS_CAPTURE"] else HIDDEN, about="a grasp holds the target"
-    )
+    about = "true: a grasp holds the target"
+    yield Variable("holds_target", "b" if grasps else HIDDEN, about=about)
 
 
 _RESULTS = (

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
-from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.files import check_writable, written_whole
 from ffsm_drake.plugins.flight.functions import Precision
 from ffsm_drake.scenario import Scenario
@@ -63,6 +63,7 @@ class Package(NamedTuple):
     part: str  # file of ``fmi/`` with the functions that begin and step
     sources: Mapping[str, str]  # file -> text of generated C code
     defined: Mapping[str, str] = {}  # further macros of fmu.h
+    most_steps: int = 2**32 - 1
 
 
 def write_package(scenario: Scenario, package: Package, path: Path) -> str:
@@ -97,6 +98,7 @@ def _header(scenario: Scenario, package: Package) -> str:
         "FMU_TOKEN": f'"{_NO_TOKEN}"',
         "FMU_SAMPLE_TIME": number(scenario.sample_time),
         "FMU_NUM_VALUES": f"{len(package.variables)}",
+        "FMU_MOST_STEPS": f"{package.most_steps}U",
         **package.defined,
     }
     macros = "\n".join(f"#define {name} {value}" for name, value in defined.items())
@@ -208,10 +210,10 @@ def _compiled(texts: Mapping[str, str], units: Sequence[str]) -> bytes:
         raise FfsmError(f"an FMU needs a C compiler: none of {', '.join(_COMPILERS)} was found")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for file, text in texts.items():
-            (folder / file).write_text(text)
         command = [compiler, *_OPTIONS, "-o", "library", *units, "-lm"]
         try:
+            for file, text in texts.items():
+                (folder / file).write_text(text)
             done = subprocess.run(
                 command, cwd=folder, env={**os.environ, "LC_ALL": "C"}, capture_output=True,
                 text=True, timeout=_PATIENCE, check=False,
@@ -219,7 +221,7 @@ def _compiled(texts: Mapping[str, str], units: Sequence[str]) -> bytes:
         except subprocess.TimeoutExpired as error:
             raise FfsmError(f"{compiler} did not end within {_PATIENCE:g} s") from error
         except OSError as error:
-            raise FfsmError(f"{compiler} cannot be run: {error.strerror}") from error
+            raise FfsmError(f"{compiler} cannot compile the FMU: {one_line(error)}") from error
         if done.returncode:
             told = re.search(r"error: (.*)", done.stderr)
             why = told[1] if told else f"exit code {done.returncode}"

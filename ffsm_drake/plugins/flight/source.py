@@ -38,18 +38,18 @@ def source_text(
     Raises what the law raises on symbols.
     """
     body = "\n".join(_body(layout, samples, references))
-    texts = "\n".join(map(static_text, ("angles.c", "helpers.c"))).split("\n\n")
-    helpers = (each for each in texts if _is_used(each, body))
+    return file_text(body, header)
+
+
+def file_text(body: str, header: str) -> str:
+    """A file of C functions after its header, and the helper functions that they call."""
     includes = [f'#include "{header}"', ""]
     includes += [f"#include <{name}.h>" for name in ("math", "stdbool", "string")]
     includes += ["", "#if defined(__clang__) /* GCC: -ffp-contract=off, or -std=c99 */"]
     includes += ["#pragma STDC FP_CONTRACT OFF", "#endif"]
-    return "\n".join((*includes, "", "\n\n".join(helpers), body)) + "\n"
-
-
-def _is_used(helper: str, text: str) -> bool:
-    """Whether a helper function is called in a text."""
-    return f"{helper.partition('(')[0].split()[-1]}(" in text
+    functions = "\n".join(map(static_text, ("angles.c", "helpers.c"))).split("\n\n")
+    used = (each for each in functions if f"{each.partition('(')[0].split()[-1]}(" in body)
+    return "\n".join((*includes, "", "\n\n".join(used), body)) + "\n"
 
 
 def _body(

@@ -3,16 +3,16 @@
 import ctypes
 import re
 import shutil
-import subprocess
 import threading
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from children import finished
 
 from ffsm_drake import FfsmError, load_scenario
-from ffsm_drake.plugins.flight.fmu import write_fmu
+from ffsm_drake.plugins.flight.fmu import PARTS, write_fmu
 from ffsm_drake.plugins.flight.law import LawFiles
 from ffsm_drake.plugins.flight.recorded import recorded
 
@@ -39,7 +39,7 @@ def scenario():
 def made(scenario, tmp_path_factory):
     """The FMU, its folder, and the samples of the run."""
     folder = tmp_path_factory.mktemp("fmu")
-    write_fmu(scenario, folder / "law.fmu")
+    write_fmu(scenario, folder / "law.fmu", "controller")
     return folder / "law.fmu", folder / "inside", recorded(scenario, LawFiles.of(scenario).reads)
 
 
@@ -68,7 +68,7 @@ def forces(law, rows, *, first=0):
 )
 def test_forces_are_those_of_the_run_bit_for_bit(name, overrides, tmp_path):
     scenario = load_scenario(name, (*SHORT, *overrides))
-    write_fmu(scenario, tmp_path / "law.fmu")
+    write_fmu(scenario, tmp_path / "law.fmu", "controller")
     run = recorded(scenario, LawFiles.of(scenario).reads)
     law = Driven(tmp_path / "law.fmu", tmp_path / "inside")
     rows = run.inputs
@@ -123,7 +123,7 @@ def test_gains_are_parameters_with_units_that_count(made, tmp_path):
     assert law.variables["gain.alpha.base_position_x"].unit == "1/(m s)"
     assert law.variables["gain.alpha.joint_1"].unit == "1/(rad s)"
     changed = load_scenario("postcapture", (*SHORT, "controllers.tde_aismc.k_p.joint_1=201"))
-    write_fmu(changed, tmp_path / "law.fmu")
+    write_fmu(changed, tmp_path / "law.fmu", "controller")
     other = Driven(tmp_path / "law.fmu", tmp_path / "inside")
     assert float(gain.start) != 201.0
     assert float(other.variables["gain.k_p.joint_1"].start) == 201.0
@@ -312,35 +312,55 @@ def test_every_function_of_the_standard_is_there(made):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("part", PARTS)
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
-def test_its_sources_compile_without_warnings(compiler, made):
+def test_its_sources_compile_without_warnings(compiler, part, scenario, tmp_path):
     if shutil.which(compiler) is None:
         pytest.skip(f"needs {compiler}")
-    path, folder, _ = made
-    Driven(path, folder)
+    write_fmu(scenario, tmp_path / "it.fmu", part)
     strict = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror"]
-    listed = re.findall(
-        r'SourceFile name="(\S+?)"', (folder / "sources/buildDescription.xml").read_text()
-    )
-    assert listed == ["absent.c", "fmu.c", "law.c"]
+    listed = sources(tmp_path)
+    assert listed == ["absent.c", "fmu.c", "law.c" if part == "controller" else "plant.c"]
     command = [compiler, *strict, "-O0", "-c", "-DFMI3_FUNCTION_PREFIX=mine_", *listed]
-    done = subprocess.run(
-        command, cwd=folder / "sources", capture_output=True, text=True, timeout=120, check=False
-    )
+    done = finished(command, cwd=tmp_path / "sources")
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
 
 
+def sources(folder):
+    """The C files that the FMU in a folder lists, which are in its folder ``sources``."""
+    fmpy.extract(str(folder / "it.fmu"), unzipdir=str(folder))
+    told = (folder / "sources" / "buildDescription.xml").read_text()
+    return re.findall(r'SourceFile name="(\S+?)"', told)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("part", PARTS)
+def test_hostile_numbers_and_states_under_sanitizers(part, scenario, tmp_path):
+    """No trap, and finite outputs of a law whatever its inputs, gains and memory are."""
+    write_fmu(scenario, tmp_path / "it.fmu", part)
+    listed = sources(tmp_path)
+    shutil.copy(Path(__file__).parent / "hostile_fmu.c", tmp_path / "sources")
+    flags = ["-std=c99", "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    flags.append(f"-DIS_LAW={int(part == 'controller')}")
+    command = ["gcc", *flags, "hostile_fmu.c", *listed, "-o", "hostile", "-lm"]
+    built = finished(command, cwd=tmp_path / "sources")
+    assert built.returncode == 0, built.stderr
+    done = finished([str(tmp_path / "sources" / "hostile")])
+    assert done.returncode == 0, done.stderr[:2000]
+    assert int(done.stdout.split()[0]) > 5000, done.stdout
+
+
 @pytest.mark.slow
 def test_the_same_scenario_gives_the_same_file(made, scenario, tmp_path):
-    write_fmu(scenario, tmp_path / "law.fmu")
+    write_fmu(scenario, tmp_path / "law.fmu", "controller")
     assert (tmp_path / "law.fmu").read_bytes() == made[0].read_bytes()
 
 
 @pytest.mark.slow
 def test_single_precision(made, tmp_path, scenario):
     *_, run = made
-    write_fmu(scenario, tmp_path / "law.fmu", float32=True)
+    write_fmu(scenario, tmp_path / "law.fmu", "controller", float32=True)
     law = Driven(tmp_path / "law.fmu", tmp_path / "inside")
     found = forces(law, run.inputs)
     np.testing.assert_array_equal(found, found.astype(np.float32))
@@ -351,7 +371,7 @@ def test_single_precision(made, tmp_path, scenario):
 def test_a_missing_compiler_is_one_line(monkeypatch, tmp_path, scenario):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(FfsmError, match=r"^an FMU needs a C compiler: none of cc, gcc, clang"):
-        write_fmu(scenario, tmp_path / "law.fmu")
+        write_fmu(scenario, tmp_path / "law.fmu", "controller")
     assert not (tmp_path / "law.fmu").exists()
 
 
@@ -359,4 +379,4 @@ def test_a_missing_compiler_is_one_line(monkeypatch, tmp_path, scenario):
 def test_a_law_that_is_no_c_is_refused(name, tmp_path):
     scenario = load_scenario("postcapture", (*SHORT, f"controller={name}"))
     with pytest.raises(FfsmError, match=f"controller '{name}' cannot be exported as C: "):
-        write_fmu(scenario, tmp_path / "law.fmu")
+        write_fmu(scenario, tmp_path / "law.fmu", "controller")

@@ -211,7 +211,9 @@ FMI3_FUNCTION(fmi3Status, ExitInitializationMode)(fmi3Instance instance)
   if ((fmu == NULL) || (fmu->memory.mode != INITIALIZATION)) {
     return refused(fmu, "the instance is not being initialized");
   }
-  part_begin(&fmu->memory.part, fmu->memory.values);
+  if (!part_begin(&fmu->memory.part, fmu->memory.values)) {
+    return refused(fmu, "a parameter is not a number that it can have");
+  }
   fmu->memory.mode = STEPS;
   return fmi3OK;
 }
@@ -234,7 +236,7 @@ FMI3_FUNCTION(fmi3Status, DoStep)(fmi3Instance instance, fmi3Float64 time, fmi3F
   *early_return = false;
   *terminate = memory->mode == ENDED;
   *last_time = time_of(memory);
-  if (memory->mode == ENDED) {
+  if ((memory->mode == ENDED) || (memory->steps >= FMU_MOST_STEPS)) {
     return refused(fmu, "the run has ended");
   }
   if (memory->mode != STEPS) {

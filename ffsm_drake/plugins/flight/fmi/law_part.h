@@ -22,10 +22,11 @@ typedef struct {
   law_state state;
 } part_memory;
 
-static void part_begin(part_memory *memory, double *values)
+static bool part_begin(part_memory *memory, double *values)
 {
   (void)values;
   law_start(&memory->state);
+  return true;
 }
 
 /* The force of the sample at which a step begins. */
