@@ -27,7 +27,7 @@ WHOLES: Mapping[str, Mapping[str, str]] = {
     "gains": {},
     "state": {
         "has_started": "1: there was a good sample",
-        "has_previous": "1: the last sample was good",
+        "good": "good samples in a row, at most LAW_SETTLED",
         "holds": "1: the last good sample had the target",
         "bad": "bad samples in a row",
     },

@@ -4,8 +4,8 @@ extern const law_gains LAW_GAINS; /* as in the scenario */
 void law_start(law_state *state);
 
 /* One control sample. A bad one leaves the law's memory as it was; the good one after it is a first
-   sample. If the force has become zero and inputs are good, but the result is not, the memory begins
-   anew. `in` and `out` may not overlap. */
+   sample. A bad result within LAW_SETTLED samples of another bad sample, or of the start, begins the
+   memory anew, which may be what makes results bad. `in` and `out` may not overlap. */
 law_status law_step(const law_in *in, const law_gains *gains, law_state *state, law_out *out);
 
 #if LAW_HAS_REFERENCE

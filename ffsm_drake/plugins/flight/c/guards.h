@@ -3,6 +3,9 @@
 #define LAW_MOST_HELD LAW_HELD_SAMPLES
 #endif
 
+/* A bad result after fewer good samples in a row starts the memory anew. */
+#define LAW_SETTLED 10U
+
 typedef enum {
   LAW_OK = 0,     /* the force follows from the inputs */
   LAW_HOLDS = 1,  /* a bad sample: the last good force */

@@ -27,6 +27,15 @@ static uint32_t warnings_of(const law_in *in, const law_out *out)
   return warnings;
 }
 
+/* The memory before the first sample; the last force stays. */
+static void restart(law_state *state)
+{
+  const law_state before = *state;
+  law_start(state);
+  copy(state->last_force, before.last_force, LAW_NV);
+  state->bad = before.bad;
+}
+
 law_status law_step(const law_in *in, const law_gains *gains, law_state *state, law_out *out)
 {
   law_state before = *state, next = *state;
@@ -34,7 +43,7 @@ law_status law_step(const law_in *in, const law_gains *gains, law_state *state, 
   uint32_t causes = causes_in(in);
   (void)memset(&made, 0, sizeof made);
   if (causes == 0U) {
-    bool is_first = (in->is_first != 0U) || (state->has_previous == 0U);
+    bool is_first = (in->is_first != 0U) || (state->good == 0U);
 #if LAW_HAS_CAPTURE
     if ((state->has_started != 0U) && (in->holds != state->holds)) {
       is_first = true;
@@ -54,7 +63,7 @@ law_status law_step(const law_in *in, const law_gains *gains, law_state *state, 
 #endif
     copy(next.last_force, made.force, LAW_NV);
     next.has_started = 1U;
-    next.has_previous = 1U;
+    next.good += (next.good < LAW_SETTLED) ? 1U : 0U;
     next.holds = in->holds;
     next.bad = 0U;
     if (!is_usable(state, &next, &made)) {
@@ -66,7 +75,10 @@ law_status law_step(const law_in *in, const law_gains *gains, law_state *state, 
     made.warnings = warnings_of(in, &made);
     *state = next;
   } else {
-    state->has_previous = 0U;
+    if ((causes == LAW_BAD_RESULT) && (state->good < LAW_SETTLED)) {
+      restart(state); /* what such as a huge integral makes of good inputs would stay bad */
+    }
+    state->good = 0U;
     if (state->bad < LAW_MOST_HELD) {
       state->bad += 1U;
       made.status = (uint32_t)LAW_HOLDS;
@@ -74,10 +86,6 @@ law_status law_step(const law_in *in, const law_gains *gains, law_state *state, 
     } else {
       made.status = (uint32_t)LAW_ZERO;
       (void)memset(made.force, 0, sizeof made.force);
-      if (causes == LAW_BAD_RESULT) { /* such as an integral that is too large: it would stay */
-        law_start(state);
-        state->bad = LAW_MOST_HELD;
-      }
     }
     copy(made.commanded, made.force, LAW_NV);
     made.causes = causes;

@@ -14,11 +14,11 @@
       most LAW_LARGEST.
    2. A sample with a number that is not finite or beyond LAW_LARGEST, or without a unit
       quaternion, is not LAW_OK, and its causes name the input.
-   3. A bad sample leaves the memory as it was, except has_previous and bad. Where results have
-      been bad for more than LAW_MOST_HELD samples, the memory is that of law_start.
+   3. A bad sample leaves the memory as it was, except good and bad. After a bad result without
+      LAW_SETTLED good samples before it, the memory is that of law_start.
    4. Up to LAW_MOST_HELD bad samples hold the last good force; further ones give zero.
-   5. After refused inputs, the first good sample is LAW_OK. After inputs that were hostile but
-      accepted, samples are LAW_OK after at most SETTLING good ones.
+   5. After refused inputs, all good samples are LAW_OK. After inputs that were hostile but accepted,
+      at most two good samples in a row are not, and none once the memory has begun anew.
    6. A mass matrix of a good sample is finite with a positive diagonal, and the reference of any
       sample is usable. */
 #include <float.h>
@@ -33,7 +33,7 @@
 
 #define NUM_STATE (offsetof(law_state, has_started) / sizeof(law_real))
 #define NUM_GAINS (sizeof(law_gains) / sizeof(law_real))
-#define SETTLING (2U * LAW_MOST_HELD + 4U)
+#define MANY (2U * (LAW_MOST_HELD + LAW_SETTLED)) /* good samples that end an episode */
 #define LARGEST_REAL ((sizeof(law_real) == sizeof(double)) ? (law_real)DBL_MAX : (law_real)FLT_MAX)
 #define SMALLEST_NORMAL ((sizeof(law_real) == sizeof(double)) ? (law_real)DBL_MIN : (law_real)FLT_MIN)
 
@@ -47,8 +47,8 @@ typedef struct {
   law_gains gains;
   uint32_t bad;        /* samples in a row that were not LAW_OK */
   law_real held[LAW_NV];
-  bool is_strange; /* hostile inputs were accepted since the last law_start */
-  uint32_t good;   /* good samples in a row */
+  bool is_strange; /* hostile inputs were accepted since the memory began */
+  uint32_t failed; /* good samples in a row that were not LAW_OK */
   size_t next;     /* good sample of the recorded run */
 } flight;
 
@@ -194,14 +194,14 @@ static void check_bad(flight *own, const law_state *before, const law_out *out)
   } else {
     check(out->status == (uint32_t)LAW_ZERO, "rule 4: too many bad samples, and not zero");
     check(have_same_bits(out->force, none, sizeof none), "rule 4: a force that is not zero");
-    if (out->causes == LAW_BAD_RESULT) {
-      law_start(&expected);
-      expected.bad = before->bad;
-      memset(own->held, 0, sizeof own->held);
-      ++num_restarts;
-    }
   }
-  expected.has_previous = 0U;
+  if ((out->causes == LAW_BAD_RESULT) && (before->good < LAW_SETTLED)) {
+    law_start(&expected);
+    memcpy(expected.last_force, before->last_force, sizeof expected.last_force);
+    expected.bad = (before->bad < LAW_MOST_HELD) ? (before->bad + 1U) : before->bad;
+    ++num_restarts;
+  }
+  expected.good = 0U;
   check(have_same_bits(out->commanded, out->force, sizeof out->force), "rule 4: commanded");
   check(have_same_bits(&own->state, &expected, sizeof expected), "rule 3: the memory has changed");
   ++own->bad;
@@ -238,7 +238,7 @@ static law_status step(flight *own, const law_in *in)
     check(is_finite(memory[i]) || (memory[i] == kept[i]), "rule 1: memory that is not finite");
   }
   check(own->state.bad == 0U, "the number of bad samples after a good one");
-  check(own->state.has_previous == 1U, "no previous sample after a good one");
+  check(own->state.good > 0U, "no good sample in a row after a good one");
   memcpy(own->held, out.force, sizeof own->held);
   own->bad = 0U;
   return status;
@@ -285,13 +285,14 @@ static void good_samples(flight *own, uint32_t count)
   own->gains = LAW_GAINS;
   for (i = 0U; i < count; ++i) {
     const law_in *in = next_good(own);
+    const bool was_strange = own->is_strange;
+    const unsigned long restarts = num_restarts;
     const law_status status = step(own, in);
     evaluate_mass_matrices(in, true);
-    ++own->good;
-    if (status != LAW_OK) {
-      check(own->is_strange, "rule 5: a good sample after refused ones is bad");
-      check(own->good <= SETTLING, "rule 5: good samples stay bad");
-    }
+    own->is_strange = was_strange && (num_restarts == restarts);
+    own->failed = (status == LAW_OK) ? 0U : (own->failed + 1U);
+    check((status == LAW_OK) || was_strange, "rule 5: a good sample is bad");
+    check(own->failed <= 2U, "rule 5: good samples stay bad");
   }
 }
 
@@ -299,7 +300,7 @@ static void hostile_sample(flight *own, const law_in *in)
 {
   ++num_hostile;
   evaluate_mass_matrices(in, false);
-  own->good = 0U;
+  own->failed = 0U;
   if (step(own, in) == LAW_OK) {
     own->is_strange = true;
   }
@@ -312,7 +313,8 @@ static void replace_numbers(law_in *in, bytes *source, size_t count)
   size_t i;
   memcpy(all, in, sizeof all);
   for (i = 0; i < count; ++i) {
-    all[next_byte(source) % LAW_NUM_INPUTS] = hostile_number(source);
+    const size_t place = next_byte(source) % LAW_NUM_INPUTS;
+    all[place] = hostile_number(source);
   }
   memcpy(in, all, sizeof all);
 }
@@ -368,7 +370,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         good_samples(&own, 1U + (next_byte(&source) & 3U));
         break;
       case 2: /* until it has surely recovered */
-        good_samples(&own, SETTLING + 4U);
+        good_samples(&own, MANY);
         break;
       case 3: /* another run in the same memory */
         memset(&own, 0, sizeof own);
@@ -401,12 +403,14 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         hostile_sample(&own, &in);
         break;
       case 11: /* also from no rotation to a half turn */
-        in.q[next_byte(&source) & 3U] = hostile_number(&source);
-        in.q_d[next_byte(&source) & 3U] = (law_real)(int8_t)next_byte(&source) / (law_real)127;
+        i = next_byte(&source) & 3U;
+        in.q[i] = hostile_number(&source);
+        in.q_d[i] = (law_real)(int8_t)next_byte(&source) / (law_real)127;
         hostile_sample(&own, &in);
         break;
       case 12:
-        evaluate_reference(&in, next_whole(&source) >> (next_byte(&source) & 31U));
+        i = next_byte(&source) & 31U;
+        evaluate_reference(&in, next_whole(&source) >> i);
         in.is_first = next_byte(&source);
         in.holds = next_byte(&source) & 3U;
         hostile_sample(&own, &in);
@@ -429,7 +433,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
         break;
     }
   }
-  good_samples(&own, SETTLING + 4U);
+  good_samples(&own, MANY);
   return 0;
 }
 
