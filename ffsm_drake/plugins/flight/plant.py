@@ -20,6 +20,8 @@ from ffsm_drake.plugins.flight.traced import TIME, traced_motion
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import closing_times
+from ffsm_drake.systems.controllers import ControlLaw
+from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.reference import make_frame_motion
 from ffsm_drake.systems.sensing.errors import SensorErrors
@@ -31,6 +33,14 @@ _CELLS = "plant_cells *cells"
 _ROUNDING = 1e-9  # relative, of what is affine in the payload's mass
 # cells of ``derivative`` that are arguments
 _ARGUMENTS = ("state", "t", "rates")
+
+
+class _Outside(ControlLaw):
+    """In place of the law, which is not in the plant."""
+
+    def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
+        """See ControlLaw."""
+        return 0.0 * sample.e, state
 
 
 class Shown(NamedTuple):
@@ -82,7 +92,7 @@ class _Plant:
 
     def __init__(self, scenario: Scenario, *, table: bool) -> None:
         self._scenario, self._table = scenario, table
-        self._run = Run(scenario).with_called_law("FMU")
+        self._run = Run(scenario, law=lambda setup: _Outside()).with_called_law("FMU")
         self._case = case = self._run.case
         for what, is_there in {
             "the supervisor": case.watch is not None,

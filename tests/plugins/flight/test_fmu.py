@@ -83,6 +83,20 @@ def test_forces_are_those_of_the_run_bit_for_bit(name, overrides, tmp_path):
     law.end()
 
 
+@pytest.mark.long
+def test_a_law_with_a_capture_goes_on_after_the_grasp(tmp_path):
+    scenario = load_scenario("tumbling_capture")
+    write_fmu(scenario, tmp_path / "law.fmu", "controller")
+    run = recorded(scenario, LawFiles.of(scenario).reads)
+    law = Driven(tmp_path / "law.fmu", tmp_path / "inside")
+    for k, (_, is_first, holds) in enumerate(run.wholes):
+        law.set_parameters(is_first=bool(is_first), holds_target=bool(holds))
+        (found,) = forces(law, run.inputs[k : k + 1], first=k)
+        np.testing.assert_allclose(found, run.commanded[k], rtol=0.0, atol=1e-9)
+    assert set(run.wholes[:, 2]) == {0, 1}
+    law.end()
+
+
 @pytest.mark.slow
 def test_the_own_reference_is_that_of_the_run(made):
     path, folder, run = made

@@ -14,6 +14,7 @@ from ffsm_drake.runs.log import RunLog
 pytest.importorskip("fmpy", reason="needs FMPy, to drive FMUs")
 
 from driven_fmu import Driven
+from fmpy.fmi1 import FMICallException
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 pytestmark = needs_compiler
@@ -138,6 +139,31 @@ def test_a_plant_under_the_forces_of_a_run_moves_as_in_the_run(name, overrides, 
             plant.fmu.doStep(k * scenario.sample_time, scenario.sample_time)
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12 if changed else 0.0)
     plant.end()
+
+
+@pytest.mark.slow
+def test_a_plant_ends_and_refuses_parameters_that_it_cannot_have(tmp_path):
+    write_fmu(load_scenario("postcapture", ("duration=0.03",)), tmp_path / "plant.fmu")
+    given = tmp_path / "plant.fmu", tmp_path / "p"
+    bad = [("payload_mass", value) for value in (0.0, -1.0, np.nan, np.inf)]
+    for name, value in (*bad, ("seed", -1), ("seed", 2**31)):
+        plant = Driven(*given, begun=False, **{name: value})
+        with pytest.raises(FMICallException):
+            plant.begin()
+    plant = Driven(*given)
+    first = plant.get("measured_velocity")
+    assert [plant.fmu.doStep(0.01 * k, 0.01)[1] for k in range(3)] == [False] * 3
+    with pytest.raises(FMICallException):
+        plant.fmu.doStep(0.03, 0.01)
+    assert b"the run has ended" in plant.messages[-1]
+    plant.fmu.reset()
+    plant.begin()
+    np.testing.assert_array_equal(plant.get("measured_velocity"), first)
+    plant.fmu.setFloat64(plant.of("force"), [1e9] * len(plant.of("force")))
+    # terminateSimulation: it diverges, which the next sample sees, as in the run
+    assert [plant.fmu.doStep(0.01 * k, 0.01)[1] for k in range(2)] == [False, True]
+    with pytest.raises(FMICallException):
+        plant.fmu.doStep(0.02, 0.01)
 
 
 @pytest.mark.parametrize(
