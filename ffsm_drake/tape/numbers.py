@@ -120,12 +120,12 @@ class Traceable:
         self.tape, self.index = tape, index
 
     def _value(self, *_: Any) -> Any:
-        raise NotTraceable("the value of a number is needed")
+        raise NotTraceable("the value of a number is needed; compute with NumPy, without float()")
 
     __float__ = __int__ = __index__ = __complex__ = __round__ = __trunc__ = _value
 
     def __bool__(self) -> bool:
-        raise NotTraceable("a branch on a value; take np.where instead")
+        raise NotTraceable("a branch on a value; use np.where instead")
 
     __hash__ = object.__hash__
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.plugins.compiled.apart import apart, reason_of
+from ffsm_drake.plugins.compiled.apart import Refused, apart, reason_of
 from ffsm_drake.plugins.flight.functions import Function, Precision
 from ffsm_drake.plugins.flight.header import header_text
 from ffsm_drake.plugins.flight.layout import Layout
@@ -59,8 +59,16 @@ class LawFiles:
                 files = _files(scenario, laws, precision, table=table, header=header)
                 return json.dumps(dataclasses.asdict(files))
 
+            def made_twice() -> str:
+                if (text := made()) != made():
+                    raise Refused(
+                        "it makes other code when traced again: it draws random numbers, "
+                        "reads a clock or keeps values outside its state"
+                    )
+                return text
+
             is_own = all(is_shipped(law.law) for law in laws.values())
-            return cls(**json.loads(made() if is_own else apart(made)))
+            return cls(**json.loads(made() if is_own else apart(made_twice)))
         except NotCovered as error:
             raise _refused(scenario, error.what) from error
         except FfsmError:

@@ -1,6 +1,7 @@
 """The files of a law: what stands in them, and which laws are refused."""
 
 import dataclasses
+import itertools
 import re
 import sys
 
@@ -106,6 +107,25 @@ class Hostile(ControlLaw):
         return force * self.register * state["double"][0], state
 
 
+DRAWS, COUNTS = np.random.default_rng(1), itertools.count(1)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Drawing(Branching):
+    """A law that draws random numbers."""
+
+    def step(self, sample, state):
+        return self.k_d * sample.e_dot + DRAWS.normal(), state
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Counting(Branching):
+    """A law that keeps a number outside its state."""
+
+    def step(self, sample, state):
+        return self.k_d * sample.e_dot * next(COUNTS), state
+
+
 def refused(scenario):
     with pytest.raises(FfsmError) as caught:
         LawFiles.of(scenario)
@@ -126,6 +146,12 @@ def test_a_branch_of_a_user_is_refused_with_its_line(tmp_path):
     assert "np.where" in reason
     with open(__file__) as file:
         assert "if sample.e_dot[0] > 0.0" in file.readlines()[int(place) - 1]
+
+
+@pytest.mark.parametrize("law", ["Drawing", "Counting"])
+def test_a_law_that_is_no_function_of_a_sample_is_refused(law):
+    said = refused(load_scenario("postcapture", [f"controller={__name__}:{law}"]))
+    assert "when traced again: it draws random numbers, reads a clock or keeps values" in said
 
 
 @pytest.mark.parametrize(
