@@ -22,20 +22,19 @@ _TIMED = """#include <stdio.h>
 #include "recording.h"
 int main(void)
 {
-  size_t count = 0;
-  recorded_sample *samples = read_recording("replay.txt", &count);
+  const recording run = read_recording("replay.txt");
   law_state state;
   law_out out;
   double sum = 0.0;
   const clock_t begin = clock();
   for (int again = 0; again < TIMES; ++again) {
     law_start(&state);
-    for (size_t k = 0; k < count; ++k) {
-      (void)law_step(&samples[k].in, &LAW_GAINS, &state, &out);
+    for (size_t k = 0; k < run.count; ++k) {
+      (void)law_step(&run.samples[k].in, &LAW_GAINS, &state, &out);
       sum += (double)out.force[0];
     }
   }
-  printf("%g %g", (double)(clock() - begin) / CLOCKS_PER_SEC / (TIMES * (double)count), sum);
+  printf("%g %g", (double)(clock() - begin) / CLOCKS_PER_SEC / (TIMES * (double)run.count), sum);
   return 0;
 }
 """
