@@ -143,7 +143,7 @@ def _replaced(
         each = (_replaced(one, place, number, constant, model, row) for one in value)
         return type(value)._make(each) if hasattr(value, "_make") else tuple(each)
     if not dataclasses.is_dataclass(value) or isinstance(value, type):
-        raise NotCovered(f"{place}: {type(value).__name__}")
+        raise NotCovered(f"{place}: {type(value).__name__}, no number, array or dataclass")
     kind, gains, made = type(value), gains_of(type(value)), dict[str, Any]()
     constant(kind)  # not its name, which another class may get
     for field in dataclasses.fields(value):

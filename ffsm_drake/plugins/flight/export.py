@@ -79,7 +79,10 @@ def _loss(made: LawFiles, header: str, replay: str) -> float:
                 )
             except subprocess.TimeoutExpired as error:
                 raise FfsmError(f"--float32: {line[0]} takes more than {_LONGEST:g} s") from error
+            why = " ".join((done.stderr or done.stdout).split())[:100]
+            if done.returncode != 0 and line[0] == compiler:
+                raise FfsmError(f"--float32: {compiler} cannot compile the law ({why})")
         found = re.findall(r"ratio ([^\s]+)", done.stdout)
         if not found:
-            raise FfsmError(f"--float32: the replay fails: {(done.stderr or done.stdout)[-200:]}")
+            raise FfsmError(f"--float32: the replay of a run fails ({why})")
         return max(map(float, found))
