@@ -17,11 +17,7 @@ from ffsm_drake.cli.common import complete_scenario, located_errors, override_op
     is_flag=True,
     help="For a .c, or the controller in an .fmu: numbers in single precision.",
 )
-@click.option(
-    "--table",
-    is_flag=True,
-    help="For a .c, or the controller in an .fmu: the reference as a table.",
-)
+@click.option("--table", is_flag=True, help="For a .c or .fmu: the reference as a table.")
 @click.option(
     "--kit",
     is_flag=True,

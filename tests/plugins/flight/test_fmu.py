@@ -20,6 +20,7 @@ fmpy = pytest.importorskip("fmpy", reason="needs FMPy, to drive FMUs")
 
 from driven_fmu import Driven  # noqa: E402
 from fmpy.fmi1 import FMICallException  # noqa: E402
+from fmpy.validation import validate_fmu  # noqa: E402
 
 SHORT = ("duration=0.5",)
 STEP = 0.01
@@ -333,6 +334,7 @@ def test_its_sources_compile_without_warnings(compiler, part, scenario, tmp_path
         pytest.skip(f"needs {compiler}")
     write_fmu(scenario, tmp_path / "it.fmu", part)
     strict = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-pedantic", "-Werror"]
+    assert validate_fmu(str(tmp_path / "it.fmu")) == []
     listed = sources(tmp_path)
     assert listed == ["absent.c", "fmu.c", "law.c" if part == "controller" else "plant.c"]
     command = [compiler, *strict, "-O0", "-c", "-DFMI3_FUNCTION_PREFIX=mine_", *listed]
