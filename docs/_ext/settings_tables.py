@@ -43,6 +43,7 @@ PAGE_OF = {
     "environment": "orbit",
     "exports": "interfaces",
     "inputs": "repeat_a_run",
+    "flight": "flight_code",
     "interactive": "meshcat",
     "new": "own_arm",
     "paper": "reproduction",
