@@ -110,7 +110,7 @@ def _macros(layout: Layout, *, has_reference: bool) -> Iterator[str]:
         ("NQ", layout.nq, "numbers in q"),
         ("NV", layout.nv, "numbers in v"),
         ("SAMPLE_TIME", number(scenario.sample_time), "between calls of law_step, s"),
-        ("NUM_INPUTS", sum(inputs.values()), "numbers at the begin of law_in"),
+        ("NUM_INPUTS", sum(inputs.values()), "numbers at the beginning of law_in"),
         ("READS_IS_NEW", int("is_new" in inputs), "1: law_in has is_new"),
         ("READS_FRAME", int("desired_frame" in inputs), "1: law_in has desired_frame"),
         ("NUM_WRENCHES", inputs.get("measured_wrench", 0), "numbers in measured_wrench"),

@@ -21,7 +21,7 @@ NORM = 0.1  # tolerance of a quaternion's squared norm, which integrators let dr
 WHOLES: Mapping[str, Mapping[str, str]] = {
     "in": {
         "sample": "number of the control sample, from 0",
-        "is_first": "1: forget what was a sample ago, as velocities jumped",
+        "is_first": "1: there is no sample before, or velocities jumped since",
         "holds": "1: the target is held; read only if LAW_HAS_CAPTURE",
     },
     "gains": {},

@@ -37,6 +37,41 @@ int main(void)
 """
 
 
+HOLDS = """
+#include <stdio.h>
+#include <string.h>
+int main(void)
+{
+  law_in in;
+  law_state one, other;
+  law_out first, second;
+  memset(&in, 0, sizeof in);
+  in.q[0] = in.q_d[0] = 1.0;
+  in.v_d[7] = 0.01;
+  in.holds = 1U;
+  law_start(&one);
+  (void)law_step(&in, &LAW_GAINS, &one, &first);
+  other = one;
+  (void)law_step(&in, &LAW_GAINS, &one, &first);
+  in.holds = 2U;
+  (void)law_step(&in, &LAW_GAINS, &other, &second);
+  printf("%d %u", memcmp(&first, &second, sizeof first), first.status);
+  return 0;
+}
+"""
+
+
+@needs_c
+@pytest.mark.slow
+def test_any_number_but_zero_holds_the_target(tmp_path):
+    files = LawFiles.of(load_scenario("tumbling_capture"))
+    (tmp_path / "law.h").write_text(files.header)
+    (tmp_path / "law.c").write_text(files.source)
+    (tmp_path / "holds.c").write_text('#include "law.h"\n' + HOLDS)
+    program = compiled(tmp_path, ["law.c", "holds.c"])
+    assert finished([str(program)]).stdout == "0 0"
+
+
 def sizes_in_c(folder, files):
     (folder / "law.h").write_text(files.header)
     (folder / "law.c").write_text(files.source)

@@ -45,7 +45,7 @@ law_status law_step(const law_in *in, const law_gains *gains, law_state *state, 
   if (causes == 0U) {
     bool is_first = (in->is_first != 0U) || (state->good == 0U);
 #if LAW_HAS_CAPTURE
-    if ((state->has_started != 0U) && (in->holds != state->holds)) {
+    if ((state->has_started != 0U) && ((in->holds != 0U) != (state->holds != 0U))) {
       is_first = true;
       if (in->holds != 0U) {
         resumed(in, gains, state, &before);
