@@ -134,7 +134,8 @@ def test_a_kit_keeps_files_that_are_there(tmp_path):
     written = write_kit(tmp_path, "arm_law", "1\n")
     assert all(path.is_file() for path in written)
     assert "\nLAW = arm_law\n" in (tmp_path / "Makefile").read_text()
-    assert '#include "arm_law.h"' in (tmp_path / "recording.h").read_text()
+    for name in ("recording.h", "fly.c", "cfs_app.c", "fprime/Law.hpp"):
+        assert '#include "arm_law.h"' in (tmp_path / name).read_text()
     assert written == write_kit(tmp_path, "arm_law", "2\n")
     assert (tmp_path / "replay.txt").read_text() == "# tolerance 0\n2\n"
 
