@@ -169,7 +169,7 @@ def _gains(law: FlightLaw) -> Iterator[Variable]:
 def _switches(*, has_reference: bool, grasps: bool) -> Iterator[Variable]:
     about = "true: the reference of the scenario, false: the inputs desired_..."
     yield Variable("own_reference", "c" if has_reference else HIDDEN, about=about)
-    about = "true: forget what was a sample ago, as velocities jumped"
+    about = "true: there is no sample before, or velocities jumped since"
     yield Variable("is_first", "b", about=about)
     about = "true: a grasp holds the target"
     yield Variable("holds_target", "b" if grasps else HIDDEN, about=about)
