@@ -2,11 +2,11 @@
 
 import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
 from c_code import needs_c, needs_llvm
+from children import STDOUT, finished
 from flight_kit import need
 
 PAGE = Path(__file__).parents[3] / "docs/flight_code.md"
@@ -30,10 +30,8 @@ def test_the_commands_print_what_the_tutorial_quotes(tmp_path):
             (tmp_path / name[1]).write_text(text)
         elif language == "sh" and not text.startswith("pip "):
             command = "set -m\n" + text.replace("./build/fly &\n", "./build/fly & sleep 1\n")
-            done = subprocess.run(
-                ["bash", "-c", f"{command}wait"], cwd=tmp_path, timeout=MINUTES,
-                stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-            )  # fmt: skip
+            line = ["bash", "-c", f"{command}wait"]
+            done = finished(line, longest=MINUTES, cwd=tmp_path, stderr=STDOUT)
             printed = done.stdout
             assert done.returncode in (0, 143), f"{text}: {printed[-2000:]}"
         elif language == "text" and not text.startswith("error: "):
@@ -56,10 +54,8 @@ def test_the_refusal_in_the_tutorial_is_that_of_the_command(tmp_path):
     )
     assert changed != law
     (tmp_path / "flight_law.py").write_text(changed)
-    done = subprocess.run(
-        [shutil.which("ffsm"), "export", "law.c", "flight_sensors", "-c", "flight_law:Pid"],
-        cwd=tmp_path, timeout=MINUTES, capture_output=True, text=True,
-    )  # fmt: skip
+    line = [shutil.which("ffsm"), "export", "law.c", "flight_sensors", "-c", "flight_law:Pid"]
+    done = finished(line, longest=MINUTES, cwd=tmp_path)
     assert done.returncode == 2
     for piece in pieces(quoted):
         assert piece in done.stderr
