@@ -58,13 +58,12 @@ def forces(law, rows, *, first=0):
     return np.array(found)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "overrides"),
     [
-        ("postcapture", ()),
-        ("slow_navigation", ("estimator.kind=kalman",)),
-        ("reaction_null", ("controller=task_time_delay",)),
+        pytest.param("postcapture", (), marks=pytest.mark.slow),
+        pytest.param("slow_navigation", ("estimator.kind=kalman",), marks=pytest.mark.long),
+        pytest.param("reaction_null", ("controller=task_time_delay",), marks=pytest.mark.long),
     ],
 )
 def test_forces_are_those_of_the_run_bit_for_bit(name, overrides, tmp_path):
