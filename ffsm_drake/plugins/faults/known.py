@@ -13,7 +13,7 @@ from ffsm_drake.plugins.actuators.base import LOST, STUCK_ON
 from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.plugins.actuators.row import make_base_actuators
-from ffsm_drake.plugins.estimators.estimators import assumed_noise
+from ffsm_drake.plugins.estimators.assumed_noise import assumed_noise
 from ffsm_drake.plugins.faults.sensors import sensors_of
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates

@@ -13,7 +13,7 @@ import numpy as np
 
 from ffsm_drake.common.choice import choose
 from ffsm_drake.common.so3 import composed, matrix_of, quaternion_of
-from ffsm_drake.plugins.estimators.estimators import assumed_noise
+from ffsm_drake.plugins.estimators.assumed_noise import assumed_noise
 from ffsm_drake.scenario import Fault, Scenario
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, Coordinates
 from ffsm_drake.systems.faults import BreakingPart, first_sample, hits

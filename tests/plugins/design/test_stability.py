@@ -23,8 +23,8 @@ from ffsm_drake.plugins.design.stability.one_axis import (
     with_sample_time,
 )
 from ffsm_drake.plugins.design.verdict import verdict
-from ffsm_drake.plugins.estimators.estimators import KalmanEstimator
 from ffsm_drake.plugins.estimators.filter_gains import kalman_gain
+from ffsm_drake.plugins.estimators.kalman import KalmanEstimator
 from ffsm_drake.runs.simulate import StabilityWarning
 from ffsm_drake.spacecraft.inertia import inertia_ratios
 from ffsm_drake.spacecraft.plant import configuration

@@ -13,17 +13,14 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake import load_scenario, make_nominal_plant
 from ffsm_drake.common.plugins import SERVICES, offered
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
-from ffsm_drake.plugins.estimators.estimators import (
-    CoupledEstimator,
-    KalmanEstimator,
-    LateKalmanEstimator,
-)
+from ffsm_drake.plugins.estimators.coupled import CoupledEstimator
 from ffsm_drake.plugins.estimators.filter_gains import (
     SensedAxis,
     coupled_gain,
     kalman_gain,
     late_gains,
 )
+from ffsm_drake.plugins.estimators.kalman import KalmanEstimator, LateKalmanEstimator
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import ESTIMATOR_KINDS
 from ffsm_drake.systems.controllers import Sample, gain_vectors

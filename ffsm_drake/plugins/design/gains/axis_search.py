@@ -13,8 +13,8 @@ from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.design.stability.linear_settings import smooth_sensing
 from ffsm_drake.plugins.design.stability.one_axis import axis_loop, of_axes
 from ffsm_drake.plugins.design.stability.planned_dynamics import Demand, PlannedDynamics
-from ffsm_drake.plugins.estimators.estimators import KalmanEstimator
 from ffsm_drake.plugins.estimators.filter_gains import kalman_gain
+from ffsm_drake.plugins.estimators.kalman import KalmanEstimator
 from ffsm_drake.scenario import (
     Estimator,
     Scenario,

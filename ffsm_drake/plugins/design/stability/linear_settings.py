@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ffsm_drake.plugins.estimators.estimators import assumed_noise
+from ffsm_drake.plugins.estimators.assumed_noise import assumed_noise
 from ffsm_drake.scenario import Actuation, Drives, Estimator, PerCoordinate, Scenario, Sensing
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
 

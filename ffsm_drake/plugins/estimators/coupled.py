@@ -1,0 +1,191 @@
+"""Kalman filter of the attitude and the joints together.
+
+The disturbance is a force, and H couples its effects on attitude and joints: d = -Hhat^-1 f, with
+f a random walk. One filter of all their measurements is then more accurate than separate filters.
+Biases are states of it, as in ``plugins.estimators.kalman``. H changes along a motion, and the gain
+of a posture with H_0 makes the filter unstable if an eigenvalue of H^-1 H_0 exceeds about 2.4.
+Gains are therefore computed for enough postures of the plan, and the gain of the posture nearest to
+the desired one is used.
+"""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import ClassVar, Self
+
+import numpy as np
+
+from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.common.memo import memoized
+from ffsm_drake.common.so3 import matrix_of
+from ffsm_drake.plugins.estimators.assumed_noise import assumed_noise, sensed_axes
+from ffsm_drake.plugins.estimators.filter_gains import coupled_gain
+from ffsm_drake.plugins.estimators.kalman import (
+    KalmanEstimator,
+    LateKalmanEstimator,
+    predict,
+    turned,
+)
+from ffsm_drake.scenario import Grip, Scenario, planned_part
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, Coordinates
+from ffsm_drake.spacecraft.free_floating import driven_model
+from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.plant import files_read
+from ffsm_drake.systems.controllers.estimation import Estimate, Estimator
+from ffsm_drake.systems.controllers.law import Sample, State
+from ffsm_drake.systems.reference import make_motion
+
+# Largest eigenvalue of the inertia of a posture with a gain of its own relative to its neighbour's.
+_NEIGHBOURS = 1.15
+_MOST_POSTURES = 41  # 3 to 4 ms each
+_INSTANTS = 201  # instants of a plan, candidates for these postures
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class CoupledEstimator(Estimator):
+    """Kalman estimate of [e, e', f] of several coordinates together, d = -(Hhat^-1 f), and of the
+    others one by one.
+    """
+
+    random_walks: ClassVar[tuple[str, ...]] = ("walk", "force_walk")
+    by_sample: ClassVar[tuple[str, ...]] = ("gain",)
+    in_phase: ClassVar[tuple[str, ...]] = ("postures",)  # compiled, ``at_samples`` alone reads them
+    separate: KalmanEstimator | LateKalmanEstimator
+    axes: np.ndarray  # (n,) the coordinates that are taken together
+    biased: np.ndarray  # (k,) those of them whose velocities have a bias
+    # postures (m, nq) of the gains, and gains (m, 3 n + k, 2 n): correction of [e, e', f, b] per
+    # unit of innovation of [e, e']
+    postures: np.ndarray
+    gain: np.ndarray
+
+    @classmethod
+    def make(
+        cls,
+        scenario: Scenario,
+        coordinates: Coordinates,
+        jacobian: np.ndarray | None,
+        grip: Grip,
+    ) -> Self:
+        sensed = sensed_axes(scenario, coordinates)
+        if not all(axis.is_prompt for axis in sensed) or len(set(sensed[:3])) > 1:
+            raise ScenarioError(
+                "estimator.kind",
+                "coupled needs sensors without delay or longer periods, and one noise and walk for "
+                "the base's three axes; set kalman",
+            )
+        axes = np.flatnonzero([group != "base_position" for group in coordinates.group_of])
+        position, velocity = assumed_noise(scenario, coordinates)
+        walk = coordinates.vector(scenario.estimator.force_walk, key="estimator.force_walk")
+        bias_walk = np.array([axis.bias_walk for axis in sensed])
+        postures, gain = _gains_along(
+            planned_part(scenario),
+            grip,
+            axes=axes,
+            position_noise=position[axes],
+            velocity_noise=velocity[axes],
+            walk=walk[axes],
+            bias_walk=bias_walk[axes],
+        )
+        separate = KalmanEstimator.make(scenario, coordinates, None, grip)
+        biased = axes[bias_walk[axes] > 0.0]
+        return cls(separate=separate, axes=axes, biased=biased, postures=postures, gain=gain)
+
+    def initial_state(self) -> State:
+        return {**self.separate.initial_state(), "estimated_force": np.zeros(self.axes.size)}
+
+    def gain_at(self, q_d: np.ndarray) -> np.ndarray:
+        """Return the gain (..., 3 n + k, 2 n) of the posture nearest to q_d (..., nq) by the angle
+        of the base's rotation and the joints' positions, rad or m.
+        """
+        if len(self.gain) == 1 and q_d.ndim == 1:
+            return self.gain[0]
+        nearest: np.ndarray = self.gain[self.nearest(q_d)]
+        return nearest
+
+    def nearest(self, q_d: np.ndarray) -> np.ndarray:
+        """The index of that gain."""
+        return _nearest(self.postures, q_d)
+
+    def at_samples(self, q_d: np.ndarray) -> Mapping[str, np.ndarray]:
+        """The gains at postures q_d (samples, nq), for the compiled engine."""
+        return {"gain": self.gain_at(q_d)}
+
+    def step(
+        self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State
+    ) -> tuple[Estimate, State]:
+        """One sample; see Estimator."""
+        predicted = predict(sample, nominal_mass_matrix, state, step=self.separate.sample_time)
+        estimate, after = self.separate.step(sample, nominal_mass_matrix, state)
+        e, e_dot, d = estimate.e.copy(), estimate.e_dot.copy(), -estimate.base_acceleration
+        n, axes = self.axes.size, self.axes
+        old_e, old_rate = (of[axes] for of in predicted[:2])
+        rate = sample.e_dot[axes] - old_rate
+        if self.biased.size:
+            R, bias = matrix_of(sample.q[:4]), state["estimated_velocity_bias"]
+            rate = rate + turned(R, bias)[axes]
+        innovation = np.concatenate((sample.e[axes] - old_e, rate))
+        of_e, of_rate, of_force, of_bias = np.split(
+            self.gain_at(sample.q_d).dot(innovation), [n, 2 * n, 3 * n]
+        )
+        force = state["estimated_force"] + of_force
+        # Its effect on the other coordinates is theirs to estimate.
+        acting = np.zeros_like(d)
+        acting[axes] = force
+        e[axes], e_dot[axes] = old_e + of_e, old_rate + of_rate
+        d[axes] = -np.linalg.solve(nominal_mass_matrix, acting)[axes]
+        kept = {"estimated_error": e, "estimated_error_rate": e_dot, "estimated_negative_n": d}
+        if self.biased.size:  # in the base's axes
+            correction = np.zeros_like(d)
+            correction[self.biased] = of_bias
+            bias = bias + turned(R.T, correction)
+            of_others = after["estimated_velocity_bias"]
+            coupled = np.isin(np.arange(bias.size), axes)
+            kept["estimated_velocity_bias"] = np.where(coupled, bias, of_others)
+        return estimate._replace(e=e, e_dot=e_dot, base_acceleration=-d), {
+            **after,
+            **kept,
+            "estimated_force": force,
+        }
+
+
+def _nearest(postures: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Index of the posture (m, nq) nearest to q (..., nq), see ``gain_at``."""
+    each = q[..., None, :]
+    joints = (each - postures)[..., NUM_BASE_POSITIONS:]
+    cosine = np.abs((each * postures)[..., :4].sum(axis=-1))  # cosine of half the angle
+    nearest: np.ndarray = np.argmin((joints * joints).sum(axis=-1) - 8.0 * cosine, axis=-1)
+    return nearest
+
+
+# a run's check, the run and its report make the same law
+@memoized(maxsize=16, files=files_read)
+def _gains_along(
+    scenario: Scenario,
+    grip: Grip,
+    *,
+    axes: np.ndarray,
+    **noises: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Postures (m, nq) of a scenario's plan, with the coupled gain of each (m, 3 n, 2 n).
+
+    With a capture it is the plan of the phase with ``grip``. The relative eigenvalues of the
+    inertias of neighbours stay within ``_NEIGHBOURS``, if ``_MOST_POSTURES`` are enough.
+
+    Args:
+      scenario: with its model and plan.
+      axes, noises: arguments of ``coupled_gain``.
+    """
+    model = driven_model(make_nominal_plant(scenario, grip))
+    motion = make_motion(scenario, model.coordinates, grip)
+    q, _, _ = motion.evaluate(np.linspace(motion.begin, motion.end, _INSTANTS))
+    inverse = np.linalg.inv(model.calc_mass_matrix(q))[:, axes[:, None], axes]
+    # Distances by the logarithm of the eigenvalue farthest from one: they add up along the motion.
+    ratios = np.linalg.eigvals(np.linalg.solve(inverse[1:], inverse[:-1])).real
+    passed = np.cumsum([0.0, *np.abs(np.log(ratios)).max(axis=1)])
+    steps = passed[-1] / math.log(_NEIGHBOURS) - 1e-9  # but for rounding
+    count = min(math.ceil(steps) + 1, _MOST_POSTURES)
+    chosen = np.abs(passed - np.linspace(0.0, passed[-1], count)[:, None]).argmin(axis=1)
+    gains = [
+        coupled_gain(each, sample_time=scenario.sample_time, **noises) for each in inverse[chosen]
+    ]
+    return q[chosen], np.array(gains)
