@@ -10,7 +10,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.so3 import in_body_axes
-from ffsm_drake.plugins.exports.foxglove import WORLD, Bodies, joints_of, poses_of
+from ffsm_drake.plugins.exports.motion import WORLD, Bodies, joints_of, poses_of
 from ffsm_drake.runs.record import RunRecord
 
 _PARTS = {

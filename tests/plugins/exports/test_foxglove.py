@@ -19,7 +19,7 @@ reader = pytest.importorskip("mcap_protobuf.reader", reason="needs mcap-protobuf
 
 from mcap.reader import make_reader  # noqa: E402
 
-from ffsm_drake.plugins.exports.foxglove import watch  # noqa: E402
+from ffsm_drake.plugins.exports.foxglove_live import watch  # noqa: E402
 
 GRASP = 20.0
 
