@@ -23,7 +23,9 @@ _HOMES = {
     "spacecraft.free_floating": ("FreeFloating", "free_floating"),
     "spacecraft.nominal": ("PlantModel", "make_nominal_plant", "make_true_plant"),
     "systems.controllers": ("ControlLaw", "InjectedDynamics", "Sample", "gain"),
-    "systems.part": ("Metric", "Part", "Signal"),
+    "systems.parts.metrics": ("Metric",),
+    "systems.parts.part": ("Part",),
+    "systems.parts.signals": ("Signal",),
     "systems.sampled": ("Sampled",),
     "systems.setup": ("BlockSetup",),
 }

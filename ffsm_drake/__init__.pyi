@@ -25,7 +25,9 @@ from ffsm_drake.show.outputs import write_outputs
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import ControlLaw, InjectedDynamics, Sample, gain
-from ffsm_drake.systems.part import Metric, Part, Signal
+from ffsm_drake.systems.parts.metrics import Metric
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.parts.signals import Signal
 from ffsm_drake.systems.sampled import Sampled
 from ffsm_drake.systems.setup import BlockSetup
 

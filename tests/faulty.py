@@ -13,7 +13,9 @@ import numpy as np
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake.spacecraft.plant import configuration
-from ffsm_drake.systems.part import Metric, Part, Signal
+from ffsm_drake.systems.parts.metrics import Metric
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.parts.signals import Signal
 from ffsm_drake.systems.registry import find_factory
 
 

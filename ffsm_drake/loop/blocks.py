@@ -28,9 +28,11 @@ from ffsm_drake.systems.controllers import make_controller
 from ffsm_drake.systems.controllers.sampled import SIGNALS
 from ffsm_drake.systems.faults import settled
 from ffsm_drake.systems.frame_path import FRAME_SIZE
-from ffsm_drake.systems.part import Part, PlacedPart, place_part
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.parts.placed import PlacedPart, place_part
 from ffsm_drake.systems.registry import (
     Factory,
+    base_actuators,
     call_factory,
     find_factory,
     module_file,
@@ -281,7 +283,7 @@ def settle_faults(scenario: Scenario, coordinates: Coordinates) -> Scenario:
 
 def is_rehearsed(scenario: Scenario) -> bool:
     """Whether a prediction tries the loop with the limits of the scenario's own parts too."""
-    return any(part.rehearsed for part in section_parts(scenario).values())
+    return bool(base_actuators(scenario))
 
 
 def factory_of(name: str, scenario: Scenario, given: Any = None) -> Factory:

@@ -51,7 +51,8 @@ from ffsm_drake.spacecraft.nominal import (
 from ffsm_drake.spacecraft.plant import configuration, coordinates_of, make_plant, split_of
 from ffsm_drake.spacecraft.start import state_at_start
 from ffsm_drake.systems.controllers.sampled import SampledController
-from ffsm_drake.systems.part import EFFORT, Parts, Signal
+from ffsm_drake.systems.parts.placed import Parts
+from ffsm_drake.systems.parts.signals import EFFORT, Signal
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.sampled import NEXT
 from ffsm_drake.systems.selection import make_selector

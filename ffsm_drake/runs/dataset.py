@@ -21,7 +21,8 @@ from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.spacecraft.plant import base_rpy, find_body, hand_frame
 from ffsm_drake.systems.controllers import SMALLEST
-from ffsm_drake.systems.part import ROLES, STORED_MOMENTUM, PlacedPart, values_of, with_role
+from ffsm_drake.systems.parts.placed import PlacedPart, with_role
+from ffsm_drake.systems.parts.signals import ROLES, STORED_MOMENTUM, values_of
 
 
 def make_table(log: RunLog) -> Table:

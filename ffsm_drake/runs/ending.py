@@ -12,7 +12,7 @@ import numpy as np
 from ffsm_drake.common.numbers import number, rounded_up
 from ffsm_drake.runs.tracking import Tracked, tracked_of
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.systems.part import Signals
+from ffsm_drake.systems.parts.signals import Signals
 from ffsm_drake.systems.registry import section_parts
 
 if TYPE_CHECKING:

@@ -26,16 +26,10 @@ from ffsm_drake.spacecraft.grasp import Contact
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.frame_path import goal_frame
-from ffsm_drake.systems.part import (
-    Figure,
-    PartRecord,
-    Parts,
-    figures_of,
-    recorded,
-    signals_of,
-    values_of,
-    with_role,
-)
+from ffsm_drake.systems.parts.metrics import Figure
+from ffsm_drake.systems.parts.placed import Parts, figures_of, signals_of, with_role
+from ffsm_drake.systems.parts.record import PartRecord, recorded
+from ffsm_drake.systems.parts.signals import values_of
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)

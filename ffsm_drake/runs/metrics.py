@@ -20,7 +20,8 @@ from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_VELOCITIES,
     position_errors,
 )
-from ffsm_drake.systems.part import INTERNAL_TORQUE, Metric
+from ffsm_drake.systems.parts.metrics import Metric
+from ffsm_drake.systems.parts.signals import INTERNAL_TORQUE
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.table import Labelled

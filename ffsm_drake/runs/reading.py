@@ -28,14 +28,8 @@ from ffsm_drake.scenario import MANIFEST_FILE, Scenario, scenario_from_dict
 from ffsm_drake.scenario.layers import scenario_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
 from ffsm_drake.spacecraft.nominal import make_flexible_plant
-from ffsm_drake.systems.part import (
-    CURVE,
-    ROLES,
-    STEPS,
-    TIMELINE,
-    PartRecord,
-    components_of,
-)
+from ffsm_drake.systems.parts.record import PartRecord
+from ffsm_drake.systems.parts.signals import CURVE, ROLES, STEPS, TIMELINE, components_of
 from ffsm_drake.systems.registry import section_parts
 
 if TYPE_CHECKING:

@@ -34,7 +34,8 @@ from ffsm_drake.runs.reading import (
 from ffsm_drake.runs.table import Table, Values
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.systems.part import Figure, PartRecord, nested
+from ffsm_drake.systems.parts.metrics import Figure, nested
+from ffsm_drake.systems.parts.record import PartRecord
 
 if TYPE_CHECKING:
     import xarray as xr

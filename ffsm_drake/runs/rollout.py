@@ -33,7 +33,7 @@ from ffsm_drake.scenario import HELD, Grip, Scenario, kind_of, planned_part, sce
 from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.plant import add_combined_plant, cause_of
 from ffsm_drake.systems.controllers.law import ControlLaw
-from ffsm_drake.systems.part import signals_of
+from ffsm_drake.systems.parts.placed import signals_of
 from ffsm_drake.systems.registry import Factory, is_shipped
 
 # A logger records the state before the update at its instant: at t_k it has these signals of sample

@@ -5,7 +5,7 @@ import functools
 from ffsm_drake.loop import closed_loop
 from ffsm_drake.systems import reference
 from ffsm_drake.systems.controllers import sampled
-from ffsm_drake.systems.part import UNIT, Signal, state_signals
+from ffsm_drake.systems.parts.signals import UNIT, Signal, state_signals
 from ffsm_drake.systems.sensing import part as sensing
 
 _of_plant = functools.partial(Signal, held=False)

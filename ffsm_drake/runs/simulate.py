@@ -25,7 +25,7 @@ from ffsm_drake.runs.record import RunRecord, software_versions
 from ffsm_drake.runs.rollout import make_rollout, user_supplied
 from ffsm_drake.scenario import Block, Scenario, as_dict, checked
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
-from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.reference import timed
 from ffsm_drake.systems.registry import Factory, address_of, module_folder
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 import numpy as np
 
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.part import HELD_FORCE
+from ffsm_drake.systems.parts.signals import HELD_FORCE
 
 if TYPE_CHECKING:
     import xarray as xr

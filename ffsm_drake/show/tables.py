@@ -10,7 +10,7 @@ from ffsm_drake.common.plugins import SERVICES, optional
 from ffsm_drake.runs.metrics import METRICS
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.table_files import Column
-from ffsm_drake.systems.part import Figure
+from ffsm_drake.systems.parts.metrics import Figure
 
 _DIGITS = {"itae": 4, "isv": 5}
 

@@ -8,7 +8,7 @@ from pydrake.systems.primitives import Adder, ConstantVectorSource, Sine
 
 from ffsm_drake.scenario import Disturbance
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.selection import make_selector
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 

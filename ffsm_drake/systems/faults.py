@@ -10,7 +10,7 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError, did_you_mean
 from ffsm_drake.scenario import Fault, Scenario
 from ffsm_drake.scenario.faults import DRAWN
-from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.parts.part import Part
 
 Known = Mapping[str, Sequence[str]]  # unit, such as "thrusters.a_x" -> the kinds of its faults
 

@@ -12,8 +12,8 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, Limit, urdf_limits
 from ffsm_drake.spacecraft.plant import coordinates_of
-from ffsm_drake.systems.part import Part
-from ffsm_drake.systems.registry import own_actuators, section_parts
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.registry import base_actuators, section_parts
 
 # Axes, edges and corners of a cube.
 DIRECTIONS = np.array([each for each in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(each)])
@@ -38,14 +38,14 @@ def base_limits(scenario: Scenario) -> BaseLimits:
     """Return the limits of a scenario's base actuators. Raises the errors of ``make_actuation``."""
     torque = helped = force = np.full(len(DIRECTIONS), np.inf)
     names = list[str]()
-    for part in own_actuators(scenario):
+    for part in base_actuators(scenario).values():
         most = part.most(scenario, DIRECTIONS)
-        if most is not None:  # the torque of the last one counts, where it gives any itself
-            own = most.get("torque", torque)
-            own = np.where(np.isfinite(own), own, torque)
-            helped = own + torque if part.is_helped and names else own
-            torque, force = own, most.get("force", force)
-            names.append(part.title.lower())
+        # the torque of the last one counts, where it gives any itself
+        own = most.get("torque", torque)
+        own = np.where(np.isfinite(own), own, torque)
+        helped = own + torque if part.is_helped and names else own
+        torque, force = own, most.get("force", force)
+        names.append(part.title.lower())
     envelope = ", ".join(filter(None, (_span(torque, "N m"), _span(force, "N"))))
     named = f" or what {' and '.join(names)} give (by direction {envelope})" if names else ""
     return BaseLimits(torque=torque, helped=helped, force=force, named=named)
@@ -61,10 +61,10 @@ def uneven_remarks(scenario: Scenario) -> Iterator[str]:
     """Remarks on nearly degenerate base actuators: output along the weakest direction. Raises the
     errors of ``base_limits``.
     """
-    for part in own_actuators(scenario):
+    for part in base_actuators(scenario).values():
         principal = [np.linalg.svd(each)[0].T for each in part.reach(scenario).values()]
         directions = np.vstack([DIRECTIONS, *(-each for each in principal), *principal])
-        for what, most in (part.most(scenario, directions) or {}).items():
+        for what, most in part.most(scenario, directions).items():
             finite = np.isfinite(most)
             if not finite.any() or most[finite].max() <= _UNEVEN * most[finite].min():
                 continue

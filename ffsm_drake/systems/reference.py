@@ -29,7 +29,8 @@ from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.duration import shortest_duration
 from ffsm_drake.systems.frame_path import FRAME_SIZE, goal_frame, make_frame_path
-from ffsm_drake.systems.part import UNIT, Part, Signal, state_signals
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.parts.signals import UNIT, Signal, state_signals
 from ffsm_drake.systems.plan import load_plan
 from ffsm_drake.systems.planned_motion import InTurn, PathMotion, PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion

@@ -30,7 +30,8 @@ from ffsm_drake.common.plugins import (
     optional,
 )
 from ffsm_drake.scenario import HELD, Grip, Scenario, kind_of, policy_parts
-from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.parts.actuator import BaseActuator
+from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.setup import BlockSetup
 
 Factory = Callable[[BlockSetup], Any]
@@ -133,9 +134,12 @@ def section_parts(
     return {name: part for name, part in held.items() if part is not None}
 
 
-def own_actuators(scenario: Scenario) -> list[Part]:
-    """Return the parts of a scenario's section ``actuation``; none where a block replaces it."""
-    return [*section_parts(scenario, of="actuation").values()]
+def base_actuators(scenario: Scenario) -> dict[str, BaseActuator]:
+    """Return the base's actuators of a scenario's section ``actuation``, by section; none where a
+    block replaces it.
+    """
+    parts = section_parts(scenario, of="actuation")
+    return {name: part for name, part in parts.items() if isinstance(part, BaseActuator)}
 
 
 @functools.cache

@@ -34,7 +34,8 @@ from ffsm_drake.runs.rollout import Rollout, user_supplied
 from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.limits import Limit
-from ffsm_drake.systems.part import Constant, by_key
+from ffsm_drake.systems.parts.metrics import by_key
+from ffsm_drake.systems.parts.signals import Constant
 from ffsm_drake.systems.registry import SHIPPED
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -26,16 +26,9 @@ from ffsm_drake.spacecraft.limits import RATE, Limit
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.continuous import Continuous
-from ffsm_drake.systems.part import (
-    INTERNAL_WORK,
-    Constant,
-    Figure,
-    Metric,
-    Part,
-    Signal,
-    View,
-    by_key,
-)
+from ffsm_drake.systems.parts.metrics import Figure, Metric, by_key
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.parts.signals import INTERNAL_WORK, Constant, Signal, View
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 from ffsm_drake.systems.setup import BlockSetup
 

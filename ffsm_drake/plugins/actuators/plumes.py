@@ -10,7 +10,9 @@ from ffsm_drake.common.numbers import percent, usable
 from ffsm_drake.plugins.actuators.plume import PlumeField, returned_shares
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION
-from ffsm_drake.systems.part import HELD_FORCE, STEPS, Figure, Metric, Part, Signal, View
+from ffsm_drake.systems.parts.metrics import Figure, Metric
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.parts.signals import HELD_FORCE, STEPS, Signal, View
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled, SampledSystem
 from ffsm_drake.systems.setup import BlockSetup
 

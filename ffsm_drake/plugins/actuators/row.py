@@ -18,7 +18,7 @@ from ffsm_drake.scenario import Actuation, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.continuous import Continuous, ContinuousSystem, InstantSystem
 from ffsm_drake.systems.faults import detects, first_sample, hits
-from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.quantization import Quantizer
 from ffsm_drake.systems.sampled import Sampled, SampledSystem
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock

@@ -22,21 +22,11 @@ from ffsm_drake.plugins.actuators.modulation import (
 from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.scenario import Fault, Scenario, Thruster, Thrusters, thrusters_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.part import (
-    TIMELINE,
-    Advice,
-    Constant,
-    Figure,
-    Load,
-    Metric,
-    Part,
-    Signal,
-    Signals,
-    Solid,
-    View,
-    by_key,
-    pulses_of,
-)
+from ffsm_drake.systems.parts.actuator import BaseActuator
+from ffsm_drake.systems.parts.advice import Advice, Load
+from ffsm_drake.systems.parts.metrics import Figure, Metric, by_key
+from ffsm_drake.systems.parts.signals import TIMELINE, Constant, Signal, Signals, View, pulses_of
+from ffsm_drake.systems.parts.solid import Solid
 from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -226,13 +216,12 @@ class ThrusterSet:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class FiredThrusters(Part):
+class FiredThrusters(BaseActuator):
     """Signals and metrics of the thrusters of a scenario's own actuators."""
 
     title = "Thrusters"
     section = "Actuators"
     about = ""
-    rehearsed = True
     settings: Thrusters
     units: Mapping[str, Thruster]
 

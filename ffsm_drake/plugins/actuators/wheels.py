@@ -27,22 +27,19 @@ from ffsm_drake.scenario import Scenario, Wheels
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.systems.continuous import Continuous
-from ffsm_drake.systems.part import (
+from ffsm_drake.systems.parts.actuator import BaseActuator
+from ffsm_drake.systems.parts.advice import Advice, Load
+from ffsm_drake.systems.parts.metrics import Figure, Metric, by_key
+from ffsm_drake.systems.parts.signals import (
     INTERNAL_TORQUE,
     STEPS,
     STORED_MOMENTUM,
-    Advice,
     Constant,
-    Figure,
-    Load,
-    Metric,
-    Part,
     Signal,
     Signals,
-    Solid,
     View,
-    by_key,
 )
+from ffsm_drake.systems.parts.solid import Solid
 from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -342,13 +339,12 @@ class Gyroscopic(Continuous):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ReactionWheels(Part):
+class ReactionWheels(BaseActuator):
     """Signals and metrics of the wheels of a scenario's own actuators."""
 
     title = "Wheels"
     section = "Actuators"
     about = ""
-    rehearsed = True
     settings: Wheels
 
     @classmethod

@@ -15,7 +15,7 @@ from ffsm_drake.spacecraft.coordinates import (
     position_errors,
 )
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.systems.part import INTERNAL_TORQUE, INTERNAL_WORK, STORED_ENERGY
+from ffsm_drake.systems.parts.signals import INTERNAL_TORQUE, INTERNAL_WORK, STORED_ENERGY
 
 if TYPE_CHECKING:
     import xarray as xr

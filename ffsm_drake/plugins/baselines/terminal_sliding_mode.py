@@ -23,7 +23,7 @@ import numpy as np
 from ffsm_drake.plugins.baselines.powers import signed_power
 from ffsm_drake.systems.controllers.law import State, gain
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
-from ffsm_drake.systems.part import UNIT
+from ffsm_drake.systems.parts.signals import UNIT
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

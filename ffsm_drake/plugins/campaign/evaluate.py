@@ -35,7 +35,8 @@ from ffsm_drake.runs.metrics import METRICS, drift_metrics, frame_figures
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.clearance import in_words
-from ffsm_drake.systems.part import Metric, Part
+from ffsm_drake.systems.parts.metrics import Metric
+from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.reference import timed
 from ffsm_drake.systems.registry import section_parts
 

@@ -23,7 +23,7 @@ from ffsm_drake.spacecraft.inertia import SIX
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
 from ffsm_drake.spacecraft.plant import configuration, hand_frame
-from ffsm_drake.systems.part import STORED_MOMENTUM
+from ffsm_drake.systems.parts.signals import STORED_MOMENTUM
 
 Target = tuple[RigidTransform, np.ndarray]  # X_WP and [w_WP; v_WP] (6) of a target
 

@@ -23,7 +23,9 @@ from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, halves
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.spacecraft.plant import hand_frame
-from ffsm_drake.systems.part import Metric, Part, Signal, View
+from ffsm_drake.systems.parts.metrics import Metric
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.parts.signals import Signal, View
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 from ffsm_drake.systems.setup import BlockSetup
 

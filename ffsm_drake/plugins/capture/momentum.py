@@ -30,7 +30,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.limits import joint_limits, limits_of
 from ffsm_drake.systems.reference import make_motion
-from ffsm_drake.systems.registry import section_parts
+from ffsm_drake.systems.registry import base_actuators
 
 LONGEST = 1000.0  # s; the budget looks no further
 _INSTANTS = 201  # instants of the planned motion, and of the time after it as densely
@@ -179,7 +179,7 @@ def _along(
 
 def _storage(scenario: Scenario) -> tuple[str, Any]:
     """The actuator that stores angular momentum, and the name of its section."""
-    for name, part in section_parts(scenario).items():
+    for name, part in base_actuators(scenario).items():
         if (storage := part.storage(scenario)) is not None:
             return name, storage
     return "", None

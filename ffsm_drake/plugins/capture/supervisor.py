@@ -21,7 +21,9 @@ import numpy as np
 from ffsm_drake.plugins.capture.modes import Cause, Mode, Supervising, Supervisor, supervising
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.continuous import Continuous, InstantSystem
-from ffsm_drake.systems.part import STEPS, Figure, Metric, Part, Signal, Signals, View
+from ffsm_drake.systems.parts.metrics import Figure, Metric
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.parts.signals import STEPS, Signal, Signals, View
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.sampled import Arrays, SampledSystem
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock

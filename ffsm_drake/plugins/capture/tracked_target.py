@@ -21,7 +21,9 @@ from ffsm_drake.plugins.capture.target_filter import Estimate, Path, TargetFilte
 from ffsm_drake.scenario import Capture, Scenario
 from ffsm_drake.scenario.target_sensing import Measured, TargetTracker
 from ffsm_drake.spacecraft.orbit import Orbit
-from ffsm_drake.systems.part import STEPS, Metric, Part, Signal, View
+from ffsm_drake.systems.parts.metrics import Metric
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.parts.signals import STEPS, Signal, View
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled

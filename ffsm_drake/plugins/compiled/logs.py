@@ -10,7 +10,7 @@ from ffsm_drake.plugins.compiled.models import posed_model
 from ffsm_drake.plugins.compiled.run import Case, Run
 from ffsm_drake.runs.ending import Outcome
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.systems.part import Parts
+from ffsm_drake.systems.parts.placed import Parts
 
 COMPILED = "compiled"  # name of the engine
 

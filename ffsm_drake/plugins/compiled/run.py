@@ -36,7 +36,7 @@ from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.controllers import SampledController, controller_names, make_controller
 from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.disturbance import sines_of
-from ffsm_drake.systems.part import Part
+from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_frame_motion, make_motion, prescribes_frame
 from ffsm_drake.systems.registry import Factory, call_factory, section_parts

@@ -28,7 +28,7 @@ from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, override_scenario
 from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.systems.controllers import complete_gains, declared_gains
-from ffsm_drake.systems.part import Advice
+from ffsm_drake.systems.parts.advice import Advice
 
 # factors, the mildest first
 _LESS = (0.9, 0.8, 0.7, 0.6, 0.5, 0.42, 0.35, 0.25, 0.15, 0.1, 0.05, 0.02)

@@ -21,7 +21,7 @@ from ffsm_drake.scenario import (
     portable_scenario,
 )
 from ffsm_drake.scenario.strict_yaml import write_yaml
-from ffsm_drake.systems.part import Advice
+from ffsm_drake.systems.parts.advice import Advice
 
 REMEDY_FILE = "remedy.yaml"
 

@@ -43,7 +43,7 @@ from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, checked
-from ffsm_drake.systems.part import Advice
+from ffsm_drake.systems.parts.advice import Advice
 
 _ALONE = ", each by itself"  # of remedies that may help without the others
 _RARE = 0.02  # share of noise sequences with divergence that is no alarm

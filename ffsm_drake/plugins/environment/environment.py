@@ -25,8 +25,8 @@ from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
 from ffsm_drake.spacecraft.free_floating import center_of_mass
 from ffsm_drake.spacecraft.nominal import Carrier, PlantModel, make_flexible_plant
 from ffsm_drake.spacecraft.orbit import Orbit, turned_axes
-from ffsm_drake.systems.part import Part
-from ffsm_drake.systems.registry import own_actuators
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.registry import base_actuators
 from ffsm_drake.systems.sampled import NEXT, Arrays, Now, Sampled
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -186,7 +186,7 @@ class OrbitalEnvironment(Part):
     def build(self, setup: BlockSetup) -> EnvironmentForce:
         """The force on all that has mass."""
         locked = setup.scenario
-        for part in own_actuators(locked):
+        for part in base_actuators(locked).values():
             locked = part.locked(locked)
         settings, model = (
             locked.environment or Environment(),

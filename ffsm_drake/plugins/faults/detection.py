@@ -25,7 +25,9 @@ from ffsm_drake.plugins.faults.force_watch import ForceWatch
 from ffsm_drake.plugins.faults.known import KINDS, Memory, units_of
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.faults import detects
-from ffsm_drake.systems.part import Figure, Metric, Part, Signal, View
+from ffsm_drake.systems.parts.metrics import Figure, Metric
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.parts.signals import Signal, View
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 from ffsm_drake.systems.sensing.block import IS_NEW
 from ffsm_drake.systems.setup import BlockSetup

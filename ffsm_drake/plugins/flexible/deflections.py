@@ -11,16 +11,9 @@ import numpy as np
 
 from ffsm_drake.common.numbers import usable
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.systems.part import (
-    STORED_ENERGY,
-    Constant,
-    Figure,
-    Metric,
-    Part,
-    Signal,
-    View,
-    by_key,
-)
+from ffsm_drake.systems.parts.metrics import Figure, Metric, by_key
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.parts.signals import STORED_ENERGY, Constant, Signal, View
 from ffsm_drake.systems.setup import BlockSetup
 
 _AT_REST = 1e-9  # rad/s or m/s; below any planned motion

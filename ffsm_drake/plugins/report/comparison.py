@@ -20,7 +20,7 @@ from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.results import Result, actuators_act, ranking
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES
 from ffsm_drake.show.tables import ranked_figures, size_of
-from ffsm_drake.systems.part import Figure
+from ffsm_drake.systems.parts.metrics import Figure
 
 _MAGNITUDES = {
     "peak_error": "Peak error",

@@ -10,7 +10,8 @@ from ffsm_drake.show.chart import Chart, Curve, View
 from ffsm_drake.show.results import Result
 from ffsm_drake.show.run_charts import run_curve
 from ffsm_drake.show.style import Style
-from ffsm_drake.systems.part import STEPS, TIMELINE, Drawing, PartRecord, pulses_of
+from ffsm_drake.systems.parts.record import Drawing, PartRecord
+from ffsm_drake.systems.parts.signals import STEPS, TIMELINE, pulses_of
 
 _MOST_BOXES = 20_000  # largest number of boxes of one run drawn one by one
 _BOX = (-0.2, 0.2, 0.2, -0.2, -0.2)  # corners, share of a row's height

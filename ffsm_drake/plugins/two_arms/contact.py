@@ -20,7 +20,9 @@ from ffsm_drake.spacecraft.grasp import plastic_impact
 from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.continuous import InstantSystem
-from ffsm_drake.systems.part import INTERNAL_WORK, Metric, Part, Signal, View
+from ffsm_drake.systems.parts.metrics import Metric
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.parts.signals import INTERNAL_WORK, Signal, View
 from ffsm_drake.systems.sensing.noise import Noise
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 

@@ -36,7 +36,9 @@ from ffsm_drake.plugins.udp.packets import (
     read,
 )
 from ffsm_drake.systems.controllers.law import Gain, gain_values
-from ffsm_drake.systems.part import STEPS, Figure, Metric, Part, Signal, View
+from ffsm_drake.systems.parts.metrics import Figure, Metric
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.parts.signals import STEPS, Signal, View
 from ffsm_drake.systems.setup import BlockSetup
 
 LOST, LATE, DOUBLED, REFUSED = FAULTS = ("lost", "late", "doubled", "refused")

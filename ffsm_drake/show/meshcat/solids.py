@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.systems.part import Solid
+from ffsm_drake.systems.parts.solid import Solid
 from ffsm_drake.systems.registry import section_parts
 
 

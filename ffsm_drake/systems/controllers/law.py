@@ -30,7 +30,7 @@ from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
 from ffsm_drake.common.settings import Setting, settings_of
 from ffsm_drake.scenario import PerCoordinate
 from ffsm_drake.spacecraft.coordinates import GROUPS, Coordinates
-from ffsm_drake.systems.part import UNIT
+from ffsm_drake.systems.parts.signals import UNIT
 from ffsm_drake.systems.setup import BlockSetup
 
 State = Mapping[str, np.ndarray]

@@ -12,7 +12,7 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers.checked import check_law, checked_step, memory_of
 from ffsm_drake.systems.controllers.law import ControlLaw, State
 from ffsm_drake.systems.controllers.law_block import REQUIRED, LawBlock
-from ffsm_drake.systems.part import UNIT, Signal
+from ffsm_drake.systems.parts.signals import UNIT, Signal
 
 SMALLEST = "smallest_singular_value"
 # Memory of a law that becomes an output and is recorded: (nv), or one number without a dimension.

@@ -7,7 +7,8 @@ from pydrake.systems.primitives import Adder
 
 from ffsm_drake.scenario import Sensing as SensingSettings
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.part import Part, state_signals
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.parts.signals import state_signals
 from ffsm_drake.systems.sampled import SampledSystem
 from ffsm_drake.systems.sensing.block import measurement_of
 from ffsm_drake.systems.sensing.errors import SensorErrors

@@ -33,7 +33,7 @@ from ffsm_drake.scenario import (
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.mass_properties import set_wheels
 from ffsm_drake.spacecraft.plant import split_of
-from ffsm_drake.systems.part import pulses_of
+from ffsm_drake.systems.parts.signals import pulses_of
 from ffsm_drake.systems.sampled import Now
 
 PERIOD, DURATION = 0.01, 20.0  # s

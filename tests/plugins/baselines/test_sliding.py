@@ -14,7 +14,7 @@ from ffsm_drake.systems.controllers import gain_vectors, make_law
 from ffsm_drake.systems.controllers.laws.aismc import Aismc
 from ffsm_drake.systems.controllers.laws.asmc import Asmc
 from ffsm_drake.systems.controllers.laws.tde_aismc import TdeAismc
-from ffsm_drake.systems.part import UNIT
+from ffsm_drake.systems.parts.signals import UNIT
 
 STEP = 1e-4  # s
 

@@ -11,7 +11,9 @@ from ffsm_drake.plugins.actuators.base import BaseActuators
 from ffsm_drake.plugins.capture.modes import Cause, Mode
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
-from ffsm_drake.systems.part import figures_of, nested, recorded
+from ffsm_drake.systems.parts.metrics import nested
+from ffsm_drake.systems.parts.placed import figures_of
+from ffsm_drake.systems.parts.record import recorded
 
 BEYOND = (  # a target that spins faster than the limits let the law stop it at once
     "capture.approach=null",

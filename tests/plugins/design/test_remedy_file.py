@@ -10,7 +10,7 @@ from ffsm_drake import RunRecord, load_scenario, simulate
 from ffsm_drake.cli import main
 from ffsm_drake.plugins.design.remedy_file import REMEDY_FILE, write_remedied, write_remedy
 from ffsm_drake.scenario import differing_keys, override_scenario
-from ffsm_drake.systems.part import Advice
+from ffsm_drake.systems.parts.advice import Advice
 
 
 def ffsm(line):

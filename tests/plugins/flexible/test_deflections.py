@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from ffsm_drake.plugins.flexible.deflections import Deflections, first_at_rest
-from ffsm_drake.systems.part import Part, PlacedPart, figures_of, nested
+from ffsm_drake.systems.parts.metrics import nested
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.parts.placed import PlacedPart, figures_of
 
 PERIOD, END = 0.01, 5.0
 

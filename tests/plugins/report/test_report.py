@@ -24,7 +24,7 @@ from ffsm_drake.scenario import scenario_from_dict, scenario_from_yaml, scenario
 from ffsm_drake.show.curves import thinned
 from ffsm_drake.show.results import ranking, results_of
 from ffsm_drake.show.style import label_of, labels_of, styles_of
-from ffsm_drake.systems.part import PartRecord
+from ffsm_drake.systems.parts.record import PartRecord
 
 HOSTILE = (
     "</script><script>document.title='taken'</script><img src=x onerror=alert(1)> & "

@@ -17,9 +17,10 @@ from ffsm_drake.spacecraft.limits import FORCE, tightest
 from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.systems.controllers import complete_gains, controller_factory, gain_vectors
 from ffsm_drake.systems.limits import actuation_limit, limits_of
-from ffsm_drake.systems.part import Advice, GroupLoad, Load, Signals
+from ffsm_drake.systems.parts.advice import Advice, GroupLoad, Load
+from ffsm_drake.systems.parts.signals import Signals
 from ffsm_drake.systems.reference import timed
-from ffsm_drake.systems.registry import section_parts
+from ffsm_drake.systems.registry import base_actuators
 
 _ANSWER = 1.0  # s; response of the loop to a wrong velocity at the start
 _INSTANTS = 101  # number of instants of the plan after that
@@ -71,7 +72,7 @@ def advice(
     least = _LARGE if settles else _NOTABLE
     parts = [
         part
-        for part in section_parts(scenario).values()
+        for part in base_actuators(scenario).values()
         if saturated.get(part.title.lower(), 0.0) >= least
     ]
     if not parts or scenario.blocks.reference is not None:
@@ -87,8 +88,7 @@ def saturated_shares(scenario: Scenario, signals: Signals) -> dict[str, float]:
     """
     return {
         part.title.lower(): float(np.mean(part.saturated(signals)))
-        for part in section_parts(scenario).values()
-        if part.rehearsed
+        for part in base_actuators(scenario).values()
     }
 
 

@@ -1,0 +1,1 @@
+"""Parts: components of the closed loop, and what records and reports read of them."""
