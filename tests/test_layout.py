@@ -13,7 +13,6 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "ffsm_drake"
 ROOMS = (
     "common",
-    "tape",
     "scenario",
     "spacecraft",
     "systems",
@@ -29,14 +28,15 @@ PLUGINS = "plugins"  # after the rooms; each folder in it is a plug-in
 NEEDS = {
     "benchmark": {"actuators", "campaign", "capture", "design"},
     "campaign": {"design"},
-    "compiled": {"equations"},
+    "compiled": {"equations", "tape"},
     "design": {"actuators", "capture", "estimators", "flexible"},
     "faults": {"actuators", "estimators"},
-    "flight": {"compiled", "equations"},
+    "equations": {"tape"},
+    "flight": {"compiled", "equations", "tape"},
     "gymnasium": {"policy", "task_space"},
     "new": {"actuators", "design"},
     "paper": {"analysis", "design"},
-    "planning": {"design", "equations", "task_space"},
+    "planning": {"design", "equations", "tape", "task_space"},
     "policy": {"task_space"},
 }
 # What stands at the top for users: the verbs, the command, the conformance kit.

@@ -49,6 +49,7 @@ PAGE_OF = {
     "paper": "reproduction",
     "policy": "trained_policy",
     "report": "quickstart",
+    "tape": "many_runs",
     "task_space": "free_floating",
     "udp": "interfaces",
 }

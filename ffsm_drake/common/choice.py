@@ -1,6 +1,6 @@
-"""Choices by values that may be symbols (``ffsm_drake.tape``)."""
+"""Choices and loops by values that may be symbols (of the plug-in ``tape``)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -28,3 +28,28 @@ def choose(condition: Any, then: Callable[[], Any], otherwise: Any) -> Any:
         pairs = zip(made, otherwise, strict=True)
         return tuple(np.where(condition, one, other) for one, other in pairs)
     return np.where(condition, made, otherwise)
+
+
+def repeated(
+    step: Callable[[Mapping[str, Any], Mapping[str, Any]], Mapping[str, Any]],
+    state: Mapping[str, Any],
+    fixed: Mapping[str, Any],
+    *,
+    most: int,
+) -> Mapping[str, Any]:
+    """Return the state after steps of a loop, while its first array, of one number, is not zero.
+
+    Args:
+      step: returns the state after one from that before it and what is fixed; of arrays by name.
+      state: before the first step.
+      fixed: what every step reads.
+      most: steps.
+    """
+    for value in (*state.values(), *fixed.values()):
+        if not is_known(value):
+            return value.recorded_loop(step, state, fixed, most)
+    for _ in range(most):
+        if not next(iter(state.values())):
+            break
+        state = step(state, fixed)
+    return state

@@ -8,7 +8,6 @@ import numpy as np
 from pydrake.math import RollPitchYaw
 
 from ffsm_drake.scenario import Environment
-from ffsm_drake.tape.numbers import cosine, sine
 
 EARTH_GRAVITY = 3.986004418e14  # m^3/s^2; gravitational parameter of the Earth (EGM2008)
 EARTH_RADIUS = 6378136.3  # m; at the equator (EGM2008)
@@ -26,7 +25,7 @@ def turned_axes(first: np.ndarray, rate: Any, time: Any) -> np.ndarray:
 
     Args: the axes at the start, the mean motion in rad/s, and the time.
     """
-    c, s = cosine(rate * time), sine(rate * time)
+    c, s = np.cos(rate * time), np.sin(rate * time)
     turned: np.ndarray = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ first
     return turned
 

@@ -1,7 +1,7 @@
 """A block as pure functions on arrays, and the Drake system around it.
 
 The functions of a ``Sampled`` block are written once. ``SampledSystem`` calls them with numbers in
-a Drake diagram. The plug-in ``compiled`` calls them with symbols (``ffsm_drake.tape``).
+a Drake diagram. The plug-in ``compiled`` calls them with symbols (of the plug-in ``tape``).
 """
 
 import itertools

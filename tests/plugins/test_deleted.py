@@ -56,6 +56,7 @@ NEEDED = {
     "planning": [["plan", "postcapture"], [*SHORT, "--controller", "tvlqr"]],
     "policy": [["validate", "postcapture", "--set", "controller=policy:a.onnx"]],
     "report": [],
+    "tape": [],
     "task_space": [[*SHORT, "--controller", "resolved_rate"]],
     "two_arms": [["run", "two_arms", "--no-report", "--out", "out"]],
     "udp": [["run", "postcapture", "-c", "ffsm_drake.plugins.udp.external:External"]],

@@ -7,14 +7,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ffsm_drake.common.choice import choose, may_be
+from ffsm_drake.common.choice import choose, may_be, repeated
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.plugins.actuators.attitude import attitude_ahead
 from ffsm_drake.plugins.actuators.thrusters import Firing, ThrusterSet, gains_and_floors
 from ffsm_drake.plugins.actuators.wheels import WheelSet, WheelTorques
 from ffsm_drake.scenario import Fault
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
-from ffsm_drake.tape.arrays import repeated
 
 # Control samples in which wheels recover the torque impulse of pulses beyond their capability.
 # Commands beyond their limits are not recovered: the controller reads applied_force and repeats

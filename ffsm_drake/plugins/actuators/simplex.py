@@ -1,4 +1,4 @@
-"""Linear programs of thrusters in a fixed form, for symbols (``ffsm_drake.tape``) as for numbers.
+"""Linear programs of thrusters in a fixed form, for symbols as for numbers.
 
     minimise c . f   over   W f = s w - l,   0 <= f <= F,   with the largest s up to a given one
 
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ffsm_drake.tape.arrays import repeated, traced
+from ffsm_drake.common.choice import repeated
 
 _ROUNDS = 200  # at most; usually 10 to 30
 _IMPROVES = 1e-11  # least reduced cost, as a share of the largest cost
@@ -69,7 +69,7 @@ def least_cost(
       needed: whether it is; otherwise the results mean nothing.
     """
     basis, numbers = start.basis, np.arange(largest.size + 1)
-    columns = np.concatenate([traced(wrenches), -traced(wrench)[:, None]], axis=1)
+    columns = np.concatenate([wrenches, -wrench[:, None]], axis=1)
     begin, is_basic = np.append(start.forces, 0.0), np.isin(numbers, basis)
     table, costs = start.inverse @ columns, np.zeros((2, numbers.size))
     costs[0, -1], costs[1, :-1] = -1.0, cost
@@ -79,9 +79,7 @@ def least_cost(
         "values": begin[basis], "tops": largest[basis], "basis": basis,  # s above its lower bound
         "is_basic": is_basic, "is_full": ~is_basic & (begin > 0.0),
     }  # fmt: skip
-    state = {name: traced(value) for name, value in state.items()}
-    fixed = {"largest": traced(largest), "slack": traced(slack)}
-    found = repeated(_round, state, fixed, most=_ROUNDS)
+    found = repeated(_round, state, {"largest": largest, "slack": slack}, most=_ROUNDS)
 
     def whole(values: Any) -> Any:
         """All forces, and s."""
@@ -91,7 +89,7 @@ def least_cost(
             for k in numbers
         ]
         low = np.where(found["has_part"] > 0.0, found["part"] * (1.0 - slack), 0.0)
-        return traced([*made[:-1], made[-1] + low])
+        return np.stack([*made[:-1], made[-1] + low])
 
     # Many rounds leave rounding, which the columns themselves have not. B^-1 = T B0 B0^-1.
     left = start.inverse @ (columns @ (begin - whole(found["values"])))
@@ -148,7 +146,7 @@ def _round(state: Mapping[str, Any], fixed: Mapping[str, Any]) -> Mapping[str, A
 
 def _ranges(state: Mapping[str, Any], largest: Any) -> Any:
     """The upper bounds of forces and s above their lower ones."""
-    return np.append(traced(largest), traced(state["range"]))
+    return np.append(largest, state["range"])
 
 
 def _picked(which: Any, values: Any, otherwise: Any = 0.0) -> Any:

@@ -22,9 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.common.choice import may_be
+from ffsm_drake.common.choice import may_be, repeated
 from ffsm_drake.scenario.capture import Closing, Compliance
-from ffsm_drake.tape.arrays import repeated
 
 _ROUNDS = 50  # iterations of the search for the slip of a step
 _LEAST = 1e-6  # N m, N; of a limit

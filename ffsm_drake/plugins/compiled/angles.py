@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ffsm_drake.tape.numbers import Symbol, Tape, floor, select
+from ffsm_drake.plugins.tape.numbers import Symbol, Tape, floor, select
 
 _LARGEST = 1e6  # rad
 _ROUNDING = 1.5 * 2.0**52  # a number plus this, and minus it, is its nearest integer

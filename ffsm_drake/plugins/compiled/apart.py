@@ -14,8 +14,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from ffsm_drake.common.errors import one_line
-from ffsm_drake.tape import numbers
-from ffsm_drake.tape.numbers import NotTraceable
+from ffsm_drake.plugins.tape import numbers
+from ffsm_drake.plugins.tape.numbers import NotTraceable
 
 _LONGEST = 120.0  # s
 _MOST = 60  # characters of another library's message

@@ -14,13 +14,13 @@ import numpy as np
 from ffsm_drake.loop.blocks import usual_sizes
 from ffsm_drake.plugins.compiled.schemes import SCHEMES
 from ffsm_drake.plugins.equations.tree import Tree
+from ffsm_drake.plugins.tape.numbers import NotTraceable
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.controllers.law_block import LawBlock
 from ffsm_drake.systems.controllers.sampled import SIGNALS
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.sampled import Sampled, memory_of, phases_of, sized
-from ffsm_drake.tape.numbers import NotTraceable
 
 # States that a sample changes, and the cells that have them then.
 CARRIED = {

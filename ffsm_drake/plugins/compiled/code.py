@@ -12,7 +12,7 @@ from typing import Any
 
 from ffsm_drake.plugins.compiled.angles import without_angles
 from ffsm_drake.plugins.compiled.registers import Registers
-from ffsm_drake.tape.numbers import TRUTHS, Loop, Operation, Symbol, Tape, needed
+from ffsm_drake.plugins.tape.numbers import TRUTHS, Loop, Operation, Symbol, Tape, needed
 
 _PART = 400  # operations
 _PLAIN = {"add": "fadd", "subtract": "fsub", "multiply": "fmul", "divide": "fdiv"}

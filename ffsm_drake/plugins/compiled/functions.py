@@ -11,9 +11,9 @@ from ffsm_drake.plugins.compiled.code import of_lanes
 from ffsm_drake.plugins.compiled.loop import Made, TracedLoop
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.compiled.schemes import SCHEMES
-from ffsm_drake.tape.arrays import inputs
-from ffsm_drake.tape.numbers import NotTraceable, Tape, number
-from ffsm_drake.tape.tangents import tangents
+from ffsm_drake.plugins.tape.arrays import inputs
+from ffsm_drake.plugins.tape.numbers import NotTraceable, Tape, number
+from ffsm_drake.plugins.tape.tangents import tangents
 
 _NOISE = ("noise", "drift_noise")  # of a row, the only numbers with a derivative
 

@@ -21,9 +21,9 @@ from ffsm_drake.plugins.compiled.functions import Function, functions
 from ffsm_drake.plugins.compiled.plans import Plans
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.compiled.schemes import SCHEMES
+from ffsm_drake.plugins.tape.numbers import NotTraceable
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.systems.parts.placed import Parts
-from ffsm_drake.tape.numbers import NotTraceable
 
 _BYTES = 8  # of a number
 # rows that runs may share, and that a supervisor's plan changes

@@ -18,13 +18,13 @@ from ffsm_drake.plugins.compiled.parameters import with_symbols
 from ffsm_drake.plugins.compiled.stepping import joined, parted, read, stepped, zeros
 from ffsm_drake.plugins.equations import equations
 from ffsm_drake.plugins.equations.errors import tracking_errors
+from ffsm_drake.plugins.tape.arrays import traced
+from ffsm_drake.plugins.tape.numbers import NotTraceable
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.systems.controllers.law_block import LawBlock
 from ffsm_drake.systems.disturbance import force_at
 from ffsm_drake.systems.quantization import quantize
 from ffsm_drake.systems.sampled import NEXT, Now, sized
-from ffsm_drake.tape.arrays import traced
-from ffsm_drake.tape.numbers import NotTraceable
 
 # Outputs of forces, and the entries of the plant's v that they are along.
 _OF_FORCES = {"generalized_force": "forced", "hidden_force": "loose"}

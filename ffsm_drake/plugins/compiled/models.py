@@ -10,11 +10,11 @@ from ffsm_drake.plugins.equations import equations, frames
 from ffsm_drake.plugins.equations.errors import tracking_errors
 from ffsm_drake.plugins.equations.frames import quaternion_of
 from ffsm_drake.plugins.equations.tree import Place, Tree
+from ffsm_drake.plugins.tape.arrays import traced
+from ffsm_drake.plugins.tape.numbers import NotTraceable
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.free_floating import ReducedModel
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
-from ffsm_drake.tape.arrays import traced
-from ffsm_drake.tape.numbers import NotTraceable
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.plugins.tape.arrays import traced
+from ffsm_drake.plugins.tape.numbers import NotTraceable, none_caught
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.controllers.law_block import LawBlock
 from ffsm_drake.systems.sampled import Now, Sampled
-from ffsm_drake.tape.arrays import traced
-from ffsm_drake.tape.numbers import NotTraceable, none_caught
 
 
 def zeros(sizes: Mapping[str, int]) -> dict[str, np.ndarray]:

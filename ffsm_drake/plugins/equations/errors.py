@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.so3 import times_conjugate
-from ffsm_drake.tape.numbers import select, signed, square_root
+from ffsm_drake.plugins.tape.numbers import select, signed, square_root
 
 _TINY = 1e-300  # keeps divisors from zero, and changes no number of any size
 _SERIES = (  # of 1 - atan(x) / x in x^2

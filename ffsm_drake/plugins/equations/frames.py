@@ -8,7 +8,7 @@ import numpy as np
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.equations.equations import axis_rotation
 from ffsm_drake.plugins.equations.tree import Place, Tree
-from ffsm_drake.tape.numbers import select, signed, square_root
+from ffsm_drake.plugins.tape.numbers import select, signed, square_root
 
 
 class _Step(NamedTuple):

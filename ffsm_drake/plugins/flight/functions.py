@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.plugins.compiled.angles import without_angles
-from ffsm_drake.tape.numbers import TRUTHS, Loop, Operation, Symbol, Tape, needed
+from ffsm_drake.plugins.tape.numbers import TRUTHS, Loop, Operation, Symbol, Tape, needed
 
 _BINARY = {
     "add": "+", "subtract": "-", "multiply": "*", "divide": "/",

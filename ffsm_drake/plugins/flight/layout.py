@@ -8,9 +8,9 @@ import numpy as np
 
 from ffsm_drake.plugins.flight.functions import Precision
 from ffsm_drake.plugins.flight.traced import FlightLaw
+from ffsm_drake.plugins.tape.numbers import NotTraceable
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.frame_path import FRAME_SIZE
-from ffsm_drake.tape.numbers import NotTraceable
 
 WITHOUT = "_without_target"  # the end of the names of what belongs to the law before a grasp
 HELD_FOR = 0.1  # s, that the last force is held

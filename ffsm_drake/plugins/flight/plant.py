@@ -17,6 +17,8 @@ from ffsm_drake.plugins.flight.functions import Function, Precision
 from ffsm_drake.plugins.flight.layout import numbers
 from ffsm_drake.plugins.flight.source import file_text
 from ffsm_drake.plugins.flight.traced import TIME, traced_motion
+from ffsm_drake.plugins.tape.arrays import inputs
+from ffsm_drake.plugins.tape.numbers import Tape, number
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import closing_times
@@ -25,8 +27,6 @@ from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.reference import make_frame_motion
 from ffsm_drake.systems.sensing.errors import SensorErrors
-from ffsm_drake.tape.arrays import inputs
-from ffsm_drake.tape.numbers import Tape, number
 
 _DOUBLE = Precision(single=False)
 _CELLS = "plant_cells *cells"

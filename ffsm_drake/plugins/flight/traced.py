@@ -23,6 +23,8 @@ from ffsm_drake.plugins.compiled.stepping import joined, parted, stepped
 from ffsm_drake.plugins.equations import equations
 from ffsm_drake.plugins.equations.errors import tracking_errors
 from ffsm_drake.plugins.flight.functions import Function, Precision
+from ffsm_drake.plugins.tape.arrays import inputs, traced
+from ffsm_drake.plugins.tape.numbers import NotTraceable, Symbol, Tape, none_caught, number
 from ffsm_drake.scenario import Grip, Scenario
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
 from ffsm_drake.systems.controllers import SampledController, make_controller
@@ -32,8 +34,6 @@ from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.quantization import quantize
 from ffsm_drake.systems.reference import make_frame_motion, make_motion, prescribes_frame
 from ffsm_drake.systems.sampled import Now
-from ffsm_drake.tape.arrays import inputs, traced
-from ffsm_drake.tape.numbers import NotTraceable, Symbol, Tape, none_caught, number
 
 TIME = "time"  # the input of a traced motion
 PLANNED = "planned"  # that of a sample with the numbers that a law reads by sample

@@ -24,12 +24,12 @@ from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.so3 import attitude_motion
 from ffsm_drake.plugins.equations.equations import inverse_dynamics
 from ffsm_drake.plugins.equations.tree import Reader
+from ffsm_drake.plugins.tape.arrays import inputs
+from ffsm_drake.plugins.tape.numbers import Tape
+from ffsm_drake.plugins.tape.programs import Program
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, damping_of
-from ffsm_drake.tape.arrays import inputs
-from ffsm_drake.tape.numbers import Tape
-from ffsm_drake.tape.programs import Program
 
 _BASE = slice(0, NUM_BASE_VELOCITIES)
 _STEP = 1e-30  # complex step: its truncation error is below rounding

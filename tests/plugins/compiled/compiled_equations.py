@@ -8,8 +8,8 @@ from ffsm_drake.plugins.compiled.code import declarations, of_lanes
 from ffsm_drake.plugins.compiled.compiling import Code, registers
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.equations import equations
-from ffsm_drake.tape.arrays import inputs
-from ffsm_drake.tape.numbers import Tape
+from ffsm_drake.plugins.tape.arrays import inputs
+from ffsm_drake.plugins.tape.numbers import Tape
 
 INPUTS = {
     "derivative": ("q", "v", "force", "own"), "bias": ("q", "v", "own"), "mass_matrix": ("q", "own")

@@ -9,12 +9,13 @@ from compiled_equations import compiled, of_copies, text_of, text_of_traced
 from drawn_trees import drawn_tree
 from tape_cases import halved
 
+from ffsm_drake.common.choice import repeated
 from ffsm_drake.plugins.compiled.compiling import registers
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.equations.equations import mass_matrix
 from ffsm_drake.plugins.equations.tree import Reader
-from ffsm_drake.tape.arrays import inputs, repeated
-from ffsm_drake.tape.numbers import Tape, cosine, sine
+from ffsm_drake.plugins.tape.arrays import inputs
+from ffsm_drake.plugins.tape.numbers import Tape, cosine, sine
 
 
 @functools.cache

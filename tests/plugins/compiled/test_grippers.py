@@ -15,12 +15,12 @@ from ffsm_drake.plugins.compiled import run as runs
 from ffsm_drake.plugins.compiled.compiling import registers
 from ffsm_drake.plugins.compiled.engine import _kernel
 from ffsm_drake.plugins.compiled.kernel import LaneState
+from ffsm_drake.plugins.tape.arrays import inputs
+from ffsm_drake.plugins.tape.numbers import Tape
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import EMPTY
 from ffsm_drake.scenario.capture import Compliance
-from ffsm_drake.tape.arrays import inputs
-from ffsm_drake.tape.numbers import Tape
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
 SAMPLES = 30

@@ -13,10 +13,10 @@ from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.plugins.actuators.row import acting_blocks
 from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
 from ffsm_drake.plugins.compiled.compiling import registers
+from ffsm_drake.plugins.tape.arrays import inputs
+from ffsm_drake.plugins.tape.numbers import Tape
 from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
 from ffsm_drake.systems.sampled import phases_of
-from ffsm_drake.tape.arrays import inputs
-from ffsm_drake.tape.numbers import Tape
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
 LAWS = ("tdc", "tde_aismc", "computed_torque", "pd_plus", "fixed_time", "tvlqr")

@@ -8,7 +8,7 @@ from ffsm_drake import load_scenario, make_nominal_plant
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.equations import frames
 from ffsm_drake.plugins.equations.tree import Reader
-from ffsm_drake.tape.arrays import traced
+from ffsm_drake.plugins.tape.arrays import traced
 
 
 @pytest.mark.parametrize("name", ["postcapture", "seven_joint", "ets_vii"])

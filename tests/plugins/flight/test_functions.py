@@ -6,11 +6,12 @@ from c_code import call, loaded, needs_c, needs_llvm
 from compiled_equations import of_copies, text_of_traced
 from tape_cases import CASES
 
+from ffsm_drake.common.choice import repeated
 from ffsm_drake.plugins.compiled.compiling import registers
 from ffsm_drake.plugins.flight.functions import Function, Precision
 from ffsm_drake.plugins.flight.header import static_text
-from ffsm_drake.tape.arrays import inputs, repeated
-from ffsm_drake.tape.numbers import Tape, number
+from ffsm_drake.plugins.tape.arrays import inputs
+from ffsm_drake.plugins.tape.numbers import Tape, number
 
 pytestmark = needs_llvm
 SIZE = 4

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from tape_cases import CASES, evaluated
 
-from ffsm_drake.tape.arrays import inputs
-from ffsm_drake.tape.numbers import Symbol, Tape
-from ffsm_drake.tape.tangents import tangents
+from ffsm_drake.plugins.tape.arrays import inputs
+from ffsm_drake.plugins.tape.numbers import Symbol, Tape
+from ffsm_drake.plugins.tape.tangents import tangents
 
 STEP = 1e-5
 

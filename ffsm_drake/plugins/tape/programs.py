@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.tape.numbers import NotTraceable, Symbol, Tape, needed
+from ffsm_drake.plugins.tape.numbers import NotTraceable, Symbol, Tape, needed
 
 _FUNCTIONS: Mapping[str, Any] = {
     "add": np.add, "subtract": np.subtract, "multiply": np.multiply, "divide": np.divide,

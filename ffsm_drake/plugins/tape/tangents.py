@@ -8,8 +8,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from ffsm_drake.tape import numbers
-from ffsm_drake.tape.numbers import (
+from ffsm_drake.plugins.tape import numbers
+from ffsm_drake.plugins.tape.numbers import (
     TRUTHS,
     NotTraceable,
     Symbol,

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from ffsm_drake.tape.arrays import repeated
-from ffsm_drake.tape.numbers import Traceable
+from ffsm_drake.common.choice import repeated
+from ffsm_drake.plugins.tape.numbers import Traceable
 
 KINDS = {
     "add": lambda x, y: x + y, "subtract": lambda x, y: x - y, "multiply": lambda x, y: x * y,

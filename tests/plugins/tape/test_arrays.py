@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from tape_cases import CASES, evaluated, halved
 
-from ffsm_drake.tape.arrays import Traced, inputs, repeated, traced
-from ffsm_drake.tape.numbers import NotTraceable, Tape, number
-from ffsm_drake.tape.programs import Program
-from ffsm_drake.tape.tangents import tangents
+from ffsm_drake.common.choice import repeated
+from ffsm_drake.plugins.tape.arrays import Traced, inputs, traced
+from ffsm_drake.plugins.tape.numbers import NotTraceable, Tape, number
+from ffsm_drake.plugins.tape.programs import Program
+from ffsm_drake.plugins.tape.tangents import tangents
 
 
 @pytest.mark.parametrize("name", CASES)
