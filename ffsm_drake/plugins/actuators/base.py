@@ -11,7 +11,7 @@ from ffsm_drake.common.choice import choose, may_be, repeated
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.plugins.actuators.attitude import attitude_ahead
 from ffsm_drake.plugins.actuators.thrusters import Firing, ThrusterSet, gains_and_floors
-from ffsm_drake.plugins.actuators.wheels import WheelSet, WheelTorques
+from ffsm_drake.plugins.actuators.wheel_set import WheelSet, WheelTorques
 from ffsm_drake.scenario import Fault
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 

@@ -11,9 +11,10 @@ from pydrake.systems.primitives import DiscreteTimeDelay, PassThrough, Saturatio
 
 from ffsm_drake.plugins.actuators.base import BaseActuators, Hit
 from ffsm_drake.plugins.actuators.drives import FRICTION, DriveSet, JointFriction, RateLimit
+from ffsm_drake.plugins.actuators.gyroscopic import Gyroscopic
 from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
-from ffsm_drake.plugins.actuators.wheels import Gyroscopic, WheelSet
+from ffsm_drake.plugins.actuators.wheel_set import WheelSet
 from ffsm_drake.scenario import Actuation, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.continuous import Continuous, ContinuousSystem, InstantSystem

@@ -18,7 +18,7 @@ from pydrake.math import RotationMatrix
 from pydrake.multibody.tree import RigidBody
 
 from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
-from ffsm_drake.plugins.actuators.wheels import WheelSet
+from ffsm_drake.plugins.actuators.wheel_set import WheelSet
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.nominal import PlantModel

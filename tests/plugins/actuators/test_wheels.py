@@ -19,7 +19,7 @@ from rigid_bus import stepped
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.common.numbers import number
 from ffsm_drake.plugins.actuators.row import make_base_actuators
-from ffsm_drake.plugins.actuators.wheels import WheelSet
+from ffsm_drake.plugins.actuators.wheel_set import WheelSet
 from ffsm_drake.plugins.report.part_panels import part_tables
 from ffsm_drake.scenario import Wheel, Wheels
 from ffsm_drake.show.results import results_of

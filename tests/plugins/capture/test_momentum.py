@@ -169,7 +169,7 @@ def test_wheels_that_are_too_small_are_told_of_and_saturate() -> None:
 def test_what_wheels_hold_is_what_their_directions_say() -> None:
     settings = known(wheels()).wheels
     assert settings is not None
-    from ffsm_drake.plugins.actuators.wheels import WheelSet
+    from ffsm_drake.plugins.actuators.wheel_set import WheelSet
 
     units = WheelSet(settings, sample_time=0.01, alone=True)
     directions = np.random.default_rng(3).normal(size=(4000, 3))
