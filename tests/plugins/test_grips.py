@@ -11,8 +11,8 @@ import pytest
 import ffsm_drake
 from ffsm_drake import load_scenario, make_nominal_plant
 from ffsm_drake.common.memo import content_of
-from ffsm_drake.plugins.compiled.run import case_of
-from ffsm_drake.plugins.estimators import estimators
+from ffsm_drake.plugins.compiled.case import case_of
+from ffsm_drake.plugins.estimators import coupled
 from ffsm_drake.plugins.planning import tvlqr
 from ffsm_drake.scenario import EMPTY, HELD, planned_part
 from ffsm_drake.systems.controllers import make_law
@@ -53,7 +53,7 @@ def _gains_along(scenario, grip):
         "bias_walk": 0.0 * noise,
     }
     axes = np.array([0, 1, 2, 6, 7, 8, 9, 10])
-    return estimators._gains_along(planned_part(scenario), grip, axes=axes, **noises)[1][:1]
+    return coupled._gains_along(planned_part(scenario), grip, axes=axes, **noises)[1][:1]
 
 
 def _case_of(scenario, grip):

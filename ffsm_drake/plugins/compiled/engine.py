@@ -12,12 +12,13 @@ import numpy as np
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.plugins.compiled.apart import Refused, apart, reason_of
 from ffsm_drake.plugins.compiled.called import Trial
+from ffsm_drake.plugins.compiled.case import Case, case_of
 from ffsm_drake.plugins.compiled.compiling import llvm
 from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.lanes import Lanes
 from ffsm_drake.plugins.compiled.logs import COMPILED
 from ffsm_drake.plugins.compiled.missions import NUDGE, Lane, advance, refusal
-from ffsm_drake.plugins.compiled.run import Case, Run, case_of
+from ffsm_drake.plugins.compiled.run import Run, run_of
 from ffsm_drake.plugins.compiled.schemes import SCHEMES
 from ffsm_drake.plugins.equations.comparison import held_to_drake
 from ffsm_drake.runs.batches import all_but_controller
@@ -108,7 +109,7 @@ class Compiled(Engine):
                     continue
                 if (same := all_but_controller(scenario)) not in cases:
                     cases[same] = case_of(scenario)
-                run = cases[same].run(scenario)
+                run = run_of(cases[same], scenario)
                 is_known = (run.key, alone) in _judged
                 lanes[index] = Lane(scenario, run, signals if is_known else None)
             except NotCovered as error:
@@ -192,9 +193,9 @@ def _compiled(run: Run, *, alone: bool) -> Kernel:
     rollout = Rollout(run.scenario, blocks=run.given)
     try:
         parts = rollout.loop.parts
-        blocks = set(rollout.loop.blocks) - run.case.built
-        blocks -= set() if run.case.watch is None else {"supervisor"}
-        others = (blocks - BLOCKS) | (set(parts) - _PARTS - run.case.built)
+        blocks = set(rollout.loop.blocks) - run.case.made.built
+        blocks -= set() if run.case.made.watch is None else {"supervisor"}
+        others = (blocks - BLOCKS) | (set(parts) - _PARTS - run.case.made.built)
     finally:
         rollout.release()
     if others:

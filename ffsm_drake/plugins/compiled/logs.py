@@ -5,9 +5,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ffsm_drake.plugins.compiled.called import Laws
+from ffsm_drake.plugins.compiled.case import Case
 from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.models import posed_model
-from ffsm_drake.plugins.compiled.run import Case, Run
+from ffsm_drake.plugins.compiled.run import Run
 from ffsm_drake.runs.ending import Outcome
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.systems.parts.placed import Parts

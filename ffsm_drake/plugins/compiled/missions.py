@@ -16,11 +16,12 @@ from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.plugins import service
 from ffsm_drake.plugins.compiled.blocks import at_start, row, sizes_of
 from ffsm_drake.plugins.compiled.called import parts
+from ffsm_drake.plugins.compiled.case import Case
 from ffsm_drake.plugins.compiled.kernel import Kernel, LaneEnd, LaneState
 from ffsm_drake.plugins.compiled.logs import laws_of, log_of, planned_signals
 from ffsm_drake.plugins.compiled.noise import Noise
 from ffsm_drake.plugins.compiled.plans import plans_of
-from ffsm_drake.plugins.compiled.run import Case, Run
+from ffsm_drake.plugins.compiled.run import Run
 from ffsm_drake.runs.ending import COMPLETED, Outcome
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.log import RunLog
@@ -43,9 +44,9 @@ class LaneStage(Stage):
         """Args: the run of a phase, and where it begins."""
         self.run, self.begin = run, begin
         self._measured = np.zeros(0)  # at its end
-        own = run.case.reference
+        own = run.case.made.reference
         # memory of the reference at the begin and at the end of the phase
-        self.followed = self._followed_then = None if own is None else own.start()
+        self.followed = self._followed_then = None if own is None else own.block.start()
 
     @property
     def coordinates(self) -> Coordinates:
@@ -77,7 +78,9 @@ class LaneStage(Stage):
 
     def block(self, name: str) -> Any:
         """See Stage."""
-        return self.run.case.reference if name == "reference" else self.blocks[name]
+        if name == "reference" and (own := self.run.case.made.reference) is not None:
+            return own.block
+        return self.blocks[name]
 
     def memory(self, block: str) -> Arrays:
         """See Stage."""
@@ -186,7 +189,7 @@ class Lane:
             mission = service("capture_mission", "capture")(scenario)
         self._course = Course(mission, scenario)
         # what a run that is lost has for its log
-        is_detected = own is not None and own.case.detector is not None
+        is_detected = own is not None and own.case.made.detector is not None
         self.lost = NotCovered(_LEFT) if is_detected else None
         self.result: RunLog | NotCovered | None = self.lost
         self.steps = list[Any]()  # what its code depends on, from phase to phase

@@ -13,9 +13,9 @@ from ffsm_drake.plugins.compiled.run import Run
 
 def plans_of(runs: Sequence[Run]) -> "Plans | None":
     """Return the plans of runs with the same code; None: they have no supervisor."""
-    if runs[0].case.supervisor is None:
+    if runs[0].case.made.supervisor is None:
         return None
-    return Plans([run.case.supervisor for run in runs], [run.law for run in runs])
+    return Plans([run.case.made.supervisor for run in runs], [run.law for run in runs])
 
 
 class Plans:

@@ -13,10 +13,11 @@ from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.plugins.compiled.apart import reason_of
 from ffsm_drake.plugins.compiled.blocks import kept_at, phases_at, sampled_of, sizes_of
 from ffsm_drake.plugins.compiled.called import parts
+from ffsm_drake.plugins.compiled.case import case_of
 from ffsm_drake.plugins.compiled.engine import BLOCKS, Compiled
 from ffsm_drake.plugins.compiled.kernel import Step
 from ffsm_drake.plugins.compiled.parameters import rows_of
-from ffsm_drake.plugins.compiled.run import Run, case_of
+from ffsm_drake.plugins.compiled.run import Run, run_of
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario
 from ffsm_drake.systems.reference import make_frame_motion
@@ -45,7 +46,7 @@ class TracedSample:
         unlimited = dataclasses.replace(given.actuation, limit=scenario.actuation.limit)
         is_alike = dataclasses.replace(given, actuation=unlimited) == scenario
         own = given if is_alike else scenario
-        run = case_of(own, grip).run(own)
+        run = run_of(case_of(own, grip), own)
         if run.blocks.called:
             raise NotCovered(run.blocks.called)
         if scenario.actuation.wheels is not None:

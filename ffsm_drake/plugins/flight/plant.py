@@ -9,8 +9,9 @@ import numpy as np
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.plugins.compiled.apart import apart, reason_of
 from ffsm_drake.plugins.compiled.blocks import COUNTS, laid
+from ffsm_drake.plugins.compiled.case import Case
 from ffsm_drake.plugins.compiled.functions import functions_of, traced_function
-from ffsm_drake.plugins.compiled.run import Case, Run
+from ffsm_drake.plugins.compiled.run import Run
 from ffsm_drake.plugins.compiled.schemes import SCHEMES
 from ffsm_drake.plugins.equations.errors import tracking_errors
 from ffsm_drake.plugins.flight.functions import Function, Precision
@@ -95,9 +96,9 @@ class _Plant:
         self._run = Run(scenario, law=lambda setup: _Outside()).with_called_law("FMU")
         self._case = case = self._run.case
         for what, is_there in {
-            "the supervisor": case.watch is not None,
-            "sensing.detection": case.detector is not None,
-            "blocks.reference": case.reference is not None,
+            "the supervisor": case.made.watch is not None,
+            "sensing.detection": case.made.detector is not None,
+            "blocks.reference": case.made.reference is not None,
         }.items():
             if is_there:
                 raise NotCovered(what)

@@ -11,10 +11,11 @@ from ffsm_drake.common.so3 import composed, cross_of, matrix_of, quaternion_of
 from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.plugins.capture.contact_force import Jaws
 from ffsm_drake.plugins.capture.gripper import MOTION, Gripper
-from ffsm_drake.plugins.compiled import run as runs
+from ffsm_drake.plugins.compiled.case import Case
 from ffsm_drake.plugins.compiled.compiling import registers
 from ffsm_drake.plugins.compiled.engine import _kernel
 from ffsm_drake.plugins.compiled.kernel import LaneState
+from ffsm_drake.plugins.compiled.run import Run
 from ffsm_drake.plugins.tape.arrays import inputs
 from ffsm_drake.plugins.tape.numbers import Tape
 from ffsm_drake.runs.engine import NotCovered
@@ -73,7 +74,7 @@ def met(random, block, state):
     return np.concatenate([q_WP, place, w, velocity])
 
 
-def check_closing(monkeypatch, variant, seed):
+def check_closing(variant, seed):
     random = np.random.default_rng(seed)
     scenario, compliance = drawn(random, *VARIANTS[variant])
     part, limp = Gripper(compliance), scenario.closing.joints == "limp"
@@ -97,19 +98,10 @@ def check_closing(monkeypatch, variant, seed):
 
     expected = rollout.run(scenario, leg=Leg(last=SAMPLES, begin=begin, end=end))
     rollout.release()
-    section_parts = runs.section_parts
-    monkeypatch.setattr(
-        runs,
-        "section_parts",
-        lambda *of, **how: {
-            name: part if name == GRIPPER else each
-            for name, each in section_parts(*of, **how).items()
-        },
-    )
-    case = runs.Case(scenario, EMPTY)
+    case = Case(scenario, EMPTY, blocks={GRIPPER: part})
     if limp:
         case.fixed["limp"], case.parameters["joint_force"] = True, joints
-    run = runs.Run(scenario, case)
+    run = Run(scenario, case)
     kernel = _kernel(run, alone=False)
     (block,) = [each for name, each in run.blocks.parts["forces"].items() if name == "gripper"]
     memory = np.concatenate([found["memory"][name] for name in block.start()])
@@ -140,7 +132,7 @@ def check_closing(monkeypatch, variant, seed):
 def test_a_gripper_that_does_not_close_holds_nothing():
     """The leg after a closing, with what that left in the cells."""
     scenario, _ = drawn(np.random.default_rng(0), *VARIANTS["limp"])
-    run = runs.Run(scenario, runs.Case(scenario))
+    run = Run(scenario, Case(scenario))
     kernel, held = _kernel(run, alone=False), {}
     for name in ("touched", "touch"):
         held[name] = np.ones(run.blocks.states[name])
@@ -158,9 +150,9 @@ def test_a_gripper_that_does_not_close_holds_nothing():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_drawn_closings_have_the_force_of_drake(monkeypatch, variant):
+def test_drawn_closings_have_the_force_of_drake(variant):
     for seed in range(DRAWS):
-        check_closing(monkeypatch, variant, seed)
+        check_closing(variant, seed)
 
 
 def contacts(random, count):

@@ -7,10 +7,11 @@ import pytest
 from compared_runs import of_seeds
 
 from ffsm_drake.plugins.compiled.called import Laws
+from ffsm_drake.plugins.compiled.case import case_of
 from ffsm_drake.plugins.compiled.engine import _kernel
 from ffsm_drake.plugins.compiled.kernel import LaneState
 from ffsm_drake.plugins.compiled.plans import plans_of
-from ffsm_drake.plugins.compiled.run import case_of
+from ffsm_drake.plugins.compiled.run import run_of
 from ffsm_drake.runs.rollout import Leg, Rollout
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
@@ -31,7 +32,7 @@ VARIANTS = {
 def compiled(name, given, *, called=False):
     """The kernel and runs of a scenario with several seeds."""
     scenarios = of_seeds(name, ["duration=0.2", *given], LANES * [[]])
-    runs = [case_of(each).run(each) for each in scenarios]
+    runs = [run_of(case_of(each), each) for each in scenarios]
     if called:
         runs = [run.with_called_law("a test") for run in runs]
     return _kernel(runs[0], alone=False), runs

@@ -1,0 +1,304 @@
+"""What runs share that differ at most in their controllers."""
+
+import collections
+import copy
+import dataclasses
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pydrake.systems.framework import System
+
+from ffsm_drake.common.memo import content_of
+from ffsm_drake.loop.blocks import settle_faults
+from ffsm_drake.plugins.compiled.blocks import kept_at, phases_at, row, sampled_of
+from ffsm_drake.plugins.compiled.kinds import kind_of
+from ffsm_drake.plugins.compiled.noise import Noise, noise_of
+from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of
+from ffsm_drake.plugins.compiled.scenario_blocks import ScenarioBlocks, frozen
+from ffsm_drake.plugins.compiled.schemes import steps_of
+from ffsm_drake.runs.engine import NotCovered
+from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.nominal import Carrier, make_flexible_plant, make_nominal_plant
+from ffsm_drake.spacecraft.plant import files_read
+from ffsm_drake.spacecraft.start import state_at_start
+from ffsm_drake.systems.controllers import controller_names, make_controller
+from ffsm_drake.systems.disturbance import sines_of
+from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.reference import make_frame_motion, make_motion, prescribes_frame
+from ffsm_drake.systems.registry import Factory
+from ffsm_drake.systems.sampled import Arrays, Sampled
+from ffsm_drake.systems.sensing.errors import SensorErrors
+from ffsm_drake.systems.setup import BlockSetup
+
+_KEPT = 64  # cases
+
+
+class Case:
+    """What runs share that differ at most in their controllers."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        grip: Grip = HELD,
+        *,
+        further: int = 0,
+        first: int = 0,
+        last: int | None = None,
+        motion: PlannedMotion | None = None,
+        blocks: Mapping[str, Factory] = {},
+        joint_force: np.ndarray | None = None,
+        noise: Noise | None = None,
+    ) -> None:
+        """Args:
+        scenario: the scenario.
+        grip: what holds the target.
+        further: samples after its end of which rows are known.
+        first: sample of the run at which a phase begins.
+        last: the sample after it; None: it lasts to the end.
+        motion: of the phase; None: from the scenario.
+        blocks: factories of blocks in place of the scenario's.
+        joint_force: see ``add_closed_loop``.
+        noise: of the run, if it is known.
+
+        Raises NotCovered.
+        """
+        self.scenario, self._further = scenario, further
+        self._given_motion, self._given_noise = motion, noise
+        self.true = make_flexible_plant(scenario, grip)
+        self.nominal = make_nominal_plant(scenario, grip)
+        self.coordinates: Coordinates = self.nominal.coordinates
+        self.samples = scenario.num_control_periods + 1 + further
+        self.window = slice(first, self.samples if last is None else last + 1)
+        self._gains_are_checked = False
+        self.runs = dict[str, Any]()  # those with a law of this package, by controller
+        self._errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
+        self._drift = self._errors.drift()
+        plain = BlockSetup(
+            name="",
+            scenario=settle_faults(scenario, self.coordinates),
+            nominal=self.nominal,
+            settings={},
+            split=self.true.split,
+        )
+        reader_of(self.true.plant)  # refuses an unknown joint before a block is made
+        self.made = ScenarioBlocks(plain, self._errors, blocks)
+        self.parts = self.made.parts
+        found = parameters_of(self.parts, "blocks")
+        phases = tuple(len(block.phase(0)) for _, block in sampled_of(self.parts))
+        self.constants = found.constants, self.made.external, phases
+        config = scenario.simulator_config
+        parts = max((each.per_sample for each in self.parts["forces"].values()), default=1) or 1
+        self.steps = steps_of(scenario.sample_time, config.max_step_size, parts)
+        if not self.steps:
+            raise NotCovered("steps that do not divide a sample")
+        self.parameters = self._numbers(found.values, joint_force)
+        self.fixed = self._structure(found.values.size, is_limp=joint_force is not None)
+
+    def _numbers(self, parts: np.ndarray, joint_force: np.ndarray | None) -> dict[str, np.ndarray]:
+        """Numbers of a run but those of its law, by the names of ``Blocks.parameters``."""
+        scenario, force = self.scenario, self.scenario.actuation
+        vector = self.coordinates.vector
+        return {
+            "own": reader_of(self.true.plant).parameters(self.true.context),
+            "parts": parts,
+            "deviation": self._errors.deviation,
+            "limit": vector(force.limit or {}, key="actuation.limit", default=np.inf),
+            "force_resolution": vector(
+                force.quantization, key="actuation.quantization", default=0.0
+            ),
+            "sines": sines_of(scenario.disturbance, self.coordinates).ravel(),
+            "share": self._drift.kept,
+            "added": self._drift.added,
+            "sample_time": np.array([scenario.sample_time]),
+            "step": np.array([scenario.sample_time / self.steps]),
+            "bound": np.array([scenario.divergence_speed]),
+            "joint_force": np.zeros(0) if joint_force is None else joint_force,
+        }
+
+    def _structure(self, num_numbers: int, *, is_limp: bool) -> dict[str, Any]:
+        """What its code depends on but parts and law, by the names of ``Blocks``."""
+        split, tree = self.true.split, reader_of(self.true.plant).tree
+        known = split.known_part(np.arange(self.true.plant.num_multibody_states()))
+        forced = split.known_velocities(np.arange(tree.num_velocities))
+        return {
+            "tree": tree,
+            "known": tuple(known.tolist()),
+            "hidden": tuple(split.hidden_state.tolist()),
+            "forced": tuple(forced.tolist()),
+            "loose": tuple(split.hidden.tolist()),
+            "coordinates": self.coordinates,
+            "recorded": self.made.recorded(self.scenario),
+            "num_numbers": num_numbers,
+            "noisy": bool(self._errors.deviation.any()),
+            "num_drifts": self._drift.kept.size,
+            "framed": prescribes_frame(self.scenario),
+            "limited": bool(np.isfinite(self.parameters["limit"]).any()),
+            "quantized": bool(self.parameters["force_resolution"].any()),
+            "waits": self.scenario.actuation.delay,
+            "limp": is_limp,
+            "scheme": self.scenario.simulator_config.integration_scheme,
+        }
+
+    @functools.cached_property
+    def states(self) -> dict[str, np.ndarray]:
+        """What a run begins with but the memory of its law, by the names of ``Blocks.states``."""
+        return self.states_at(state_at_start(self.scenario, self.true))
+
+    def states_at(self, state: np.ndarray) -> dict[str, np.ndarray]:
+        """``states`` at the plant's own [q; v]."""
+        known = state[list(self.fixed["known"])]
+        flowing = [each.start(known) for each in self.parts["flows"].values()]
+        return {
+            "x": row([state, *(value for of in flowing for value in of.values())]),
+            "drift": self._drift_at_start(),
+            **kept_at(self.parts, known),
+        }
+
+    def carrying(self, payload: MassProperties) -> "Case":
+        """The same with other true mass properties of the payload."""
+
+        def loaded(block: Any) -> Any:
+            return block.with_payload(payload) if hasattr(block, "with_payload") else block
+
+        other = copy.copy(self)
+        other.true = Carrier(self.scenario).loaded(self.true, payload)
+        other.parts = frozen(
+            {
+                kind: {name: loaded(each) for name, each in of.items()}
+                for kind, of in self.parts.items()
+            }
+        )
+        own = reader_of(self.true.plant).parameters(other.true.context)
+        found = parameters_of(other.parts, "blocks").values
+        other.parameters = self.parameters | {"own": own, "parts": found}
+        return other
+
+    def _drift_at_start(self) -> np.ndarray:
+        start = self._drift.start
+        return start * self.noise.start if start.any() else start
+
+    def with_seed(self, seed: int) -> "Case":
+        """The same with another seed."""
+        scenario = dataclasses.replace(self.scenario, random_seed=seed)
+        if scenario.faults is not None:
+            return Case(scenario, self.nominal.grip, further=self._further)
+        other = copy.copy(self)
+        other.scenario = scenario
+        vars(other).pop("noise", None)
+        other.states = self.states | {"drift": other._drift_at_start()}
+        return other
+
+    def follow(self, memory: Arrays) -> Arrays:
+        """Compute a reference that is a block over the phase, from its memory at the begin. Return
+        its memory before the last sample.
+        """
+        if self.made.reference is None:
+            return memory
+        samples = range(self.window.start, self.window.stop)
+        vars(self).pop("planned", None)
+        return self.made.reference.follow(memory, samples, self.scenario.sample_time)
+
+    @property
+    def shown(self) -> dict[str, np.ndarray]:
+        """Signals of a reference that is a block (samples, n)."""
+        return {} if self.made.reference is None else self._whole(self.made.reference.shown)
+
+    def detectors(self) -> list[tuple[Sampled, Arrays]]:
+        """The detector, with its memory at the start; none without it."""
+        if self.made.detector is None:
+            return []
+        known = self.states["x"][list(self.fixed["known"])]
+        return [(self.made.detector, self.made.detector.start(known))]
+
+    def forget_rows(self) -> None:
+        """Free what runs read, which needs the most memory."""
+        for name in ("planned", "noise"):
+            vars(self).pop(name, None)
+
+    def controller_of(self, scenario: Scenario) -> System:
+        """The controller of a run. Those after the first need no check of the gains of others,
+        which are the same.
+        """
+        name = scenario.controller
+        if not (is_known := name in controller_names()) or not self._gains_are_checked:
+            made = make_controller(scenario, self.nominal)
+            self._gains_are_checked |= is_known
+            return made
+        given = copy.copy(scenario)
+        given.controllers = {key: own for key, own in given.controllers.items() if key == name}
+        return make_controller(given, self.nominal)
+
+    @functools.cached_property
+    def kind(self) -> str:
+        """See ``kind_of``."""
+        return kind_of(self.scenario)
+
+    @functools.cached_property
+    def noise(self) -> Noise:
+        """The samples of its sensors' noise."""
+        sizes = {"size": self._errors.bias.size, "drifting": self._drift.kept.size}
+        return self._given_noise or noise_of(self.scenario.random_seed, self.samples, **sizes)
+
+    @functools.cached_property
+    def motion(self) -> PlannedMotion:
+        """The reference."""
+        return self._given_motion or make_motion(self.scenario, self.coordinates, self.nominal.grip)
+
+    @functools.cached_property
+    def times(self) -> np.ndarray:
+        """The control samples (samples), s."""
+        return self.scenario.sample_time * np.arange(self.samples)
+
+    @functools.cached_property
+    def planned(self) -> dict[str, np.ndarray]:
+        """What runs read at each sample, without noise (samples, n), by the names of
+        ``Blocks.row``; 0 before and after a phase.
+        """
+        watch, times = self.parts["supervisor"], self.times[self.window]
+        made = {
+            "reference": self.motion.rows(times),
+            "phases": phases_at(self.parts, self.samples)[self.window],
+            "request": np.zeros((len(times), len(watch))),
+        }
+        if self.made.reference is not None:
+            followed = self.made.reference.rows
+            plan = [followed[name] for name in ("desired_state", "desired_acceleration")]
+            made["reference"] = np.hstack(plan)
+            if watch and "abort_request" in followed:
+                made["request"] = followed["abort_request"]
+        if (path := make_frame_motion(self.scenario, self.nominal, self.motion)) is not None:
+            made["frame"] = path.rows(times)
+        return self._whole(made)
+
+    def _whole(self, of_phase: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Rows of a phase among those of the whole run; 0 before and after it."""
+        found = {name: np.zeros((self.samples, v.shape[1])) for name, v in of_phase.items()}
+        for name, values in of_phase.items():
+            found[name][self.window] = values
+        return found
+
+    @property
+    def rows(self) -> dict[str, np.ndarray]:
+        """What runs read at each sample (samples, n), by the names of ``Blocks.row``."""
+        return self.planned | {"noise": self.noise.white, "drift_noise": self.noise.drift}
+
+
+_cases: collections.OrderedDict[Any, tuple[Scenario, Case]] = collections.OrderedDict()
+
+
+def case_of(scenario: Scenario, grip: Grip = HELD) -> Case:
+    """Return what phases share whose scenarios differ in their controllers at most. The last ones
+    without blocks of a user are kept, for the predictions of their runs.
+    """
+    if scenario.blocks.choices():
+        return Case(scenario, grip)
+    shared = dataclasses.replace(scenario, controller="")
+    key = grip, scenario.random_seed, content_of(files_read(scenario))
+    if key not in _cases or _cases[key][0] != shared:
+        _cases[key] = shared, Case(scenario, grip)
+        if len(_cases) > _KEPT:
+            _cases.popitem(last=False)
+    return _cases[key][1]

@@ -1,0 +1,135 @@
+"""The blocks of a scenario, made as pure functions for a compiled run."""
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from ffsm_drake.common.plugins import SERVICES, optional
+from ffsm_drake.loop.blocks import DISTURBANCE, factory_of
+from ffsm_drake.plugins.compiled.blocks import Parts
+from ffsm_drake.plugins.compiled.followed_reference import FollowedReference
+from ffsm_drake.runs.engine import NotCovered
+from ffsm_drake.scenario import Block, Scenario
+from ffsm_drake.systems.continuous import Continuous
+from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.registry import Factory, call_factory, section_parts
+from ffsm_drake.systems.sampled import Sampled
+from ffsm_drake.systems.sensing.block import measurement_of
+from ffsm_drake.systems.sensing.errors import SensorErrors
+from ffsm_drake.systems.setup import BlockSetup
+
+_DETECTION = "sensing.detection"
+
+
+class ScenarioBlocks:
+    """The blocks of a scenario, or of a phase in their place, except the controller."""
+
+    def __init__(
+        self, plain: BlockSetup, errors: SensorErrors, given: Mapping[str, Factory]
+    ) -> None:
+        """Args:
+          plain: what blocks are made from, with the faults drawn; names and settings follow.
+          errors: of the sensors.
+          given: factories of blocks in place of the scenario's.
+
+        Raises NotCovered: a block is a Drake system, or is not traced.
+        """
+        self._plain, self._given = plain, given
+        self.built = set[str]()  # names of blocks that are made here
+        self._shown = list[str]()  # outputs of forces in a record
+        stages = measurement_of(errors), *self._made("sensing").values()
+        self.detector = None if stages[-1].traced else stages[-1]
+        forces = self._made("forces")
+        self.reference = self._reference()
+        self.supervisor = self._supervisor()
+        self.watch = None if self.supervisor is None else self.supervisor.block
+        actuators, flows = self._acting()
+        self.external = tuple(forces)  # names of the forces beside the disturbance
+        self.parts = frozen(
+            {
+                "sensing": _numbered(each for each in stages if each.traced),
+                "actuation": _numbered(actuators),
+                "flows": _numbered(flows),
+                "forces": {
+                    name: each for name, each in forces.items() if isinstance(each, Sampled)
+                },
+                "last": {
+                    name: each for name, each in forces.items() if isinstance(each, Continuous)
+                },
+                "supervisor": {} if self.watch is None else {"supervisor": self.watch},
+            }
+        )
+
+    def recorded(self, scenario: Scenario) -> tuple[str, ...]:
+        """Signals of the actuators and forces of a scenario."""
+        parts = section_parts(scenario, of="actuation").values()
+        setup = self._setup("actuation")
+        names = [signal.name for part in parts for signal in part.signals(setup)]
+        return *names, *self._shown
+
+    def _setup(self, name: str, settings: Mapping[str, Any] = {}) -> BlockSetup:
+        return dataclasses.replace(self._plain, name=name, settings=settings)
+
+    def _made(self, kind: str) -> dict[str, Any]:
+        """The blocks of a kind in addition to the first one, by name."""
+        scenario, found = self._plain.scenario, dict[str, Any]()
+        choices = scenario.blocks.choices()
+        parts = section_parts(scenario, grip=self._plain.nominal.grip)
+        for block in dict.fromkeys((*parts, *choices, *self._given)):
+            first, _, name = block.partition(".")
+            if first != kind or not name or block == DISTURBANCE:
+                continue
+            choice = choices.get(block, Block())
+            given = self._given.get(block) or parts.get(block)
+            factory = given or factory_of(block, scenario)
+            setup, place = self._setup(name, choice.settings), f"blocks.{block} '{choice.system}'"
+            part: Any = factory  # whose ``flow`` has pure functions in place of a Drake system
+            made = call_factory(getattr(part, "flow", part), setup, place=place)
+            if isinstance(factory, Part) and kind == "forces":
+                self._shown += [each.name for each in factory.signals(setup)]
+                self._shown += factory.logged
+            is_last = kind == "forces" and isinstance(made, Continuous) and not made.start()
+            if not (isinstance(made, Sampled) or is_last):
+                raise NotCovered(block)
+            if isinstance(made, Sampled) and not made.traced and block != _DETECTION:
+                raise NotCovered(f"{block}, which is not traced")
+            found[name] = made
+            self.built.add(block)
+        return found
+
+    def _acting(self) -> tuple[tuple[Sampled, ...], tuple[Continuous, ...]]:
+        """The actuators after limits, quantisation and delay, and the flows beside them."""
+        make = optional(SERVICES, "acting_blocks")
+        if make is None:
+            return (), ()
+        row, beside = make(self._plain.scenario, self._plain.coordinates)
+        return tuple(row), tuple(beside)
+
+    def _supervisor(self) -> Any:
+        """The supervisor, with a ``block``; None: there is none."""
+        own = section_parts(self._plain.scenario).get("supervisor")
+        part: Any = self._given.get("supervisor", own)
+        return None if part is None else part.supervisor(self._setup("supervisor"))
+
+    def _reference(self) -> FollowedReference | None:
+        """A reference of blocks without inputs; None: the motion."""
+        factory = self._given.get("reference")
+        if factory is None:
+            return None
+        setup = self._setup("reference")
+        made = call_factory(factory, setup, place="blocks.reference")
+        if not isinstance(made, Sampled) or made.inputs:
+            raise NotCovered("blocks.reference")
+        signals = factory.signals(setup) if isinstance(factory, Part) else ()
+        self.built.add("reference")
+        return FollowedReference(made, {signal.name: signal.held for signal in signals})
+
+
+def frozen(parts: Parts) -> Parts:
+    """Blocks by kind and name that cannot be changed."""
+    return MappingProxyType({kind: MappingProxyType({**of}) for kind, of in parts.items()})
+
+
+def _numbered(blocks: Iterable[Any]) -> dict[str, Any]:
+    return {str(index): each for index, each in enumerate(blocks)}
