@@ -36,9 +36,9 @@ from ffsm_drake import RunLog, Scenario, load_scenario
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.files import write_text
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
-from ffsm_drake.common.workers import Runs, WorkerLost, local_workers, stop_on_signals
 from ffsm_drake.plugins.design.remarks import plan_remarks
 from ffsm_drake.plugins.design.verdict import verdict
+from ffsm_drake.plugins.workers.pool import Runs, WorkerLost, local_workers, stop_on_signals
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.limits import broken_limits
 from ffsm_drake.runs.simulate import prepare

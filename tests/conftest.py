@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from ffsm_drake.common.workers import ONE_THREAD
+from ffsm_drake.common.threads import ONE_THREAD
 
 os.environ.update(ONE_THREAD)  # read when NumPy loads, below; the test processes fill the machine
 

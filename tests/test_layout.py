@@ -26,8 +26,8 @@ DRAWS = {"show", "plugins"}
 PLUGINS = "plugins"  # after the rooms; each folder in it is a plug-in
 # plug-in -> others that it may import
 NEEDS = {
-    "benchmark": {"actuators", "campaign", "capture", "design"},
-    "campaign": {"design"},
+    "benchmark": {"actuators", "campaign", "capture", "design", "workers"},
+    "campaign": {"design", "workers"},
     "compiled": {"equations", "tape"},
     "design": {"actuators", "capture", "estimators", "flexible"},
     "faults": {"actuators", "estimators"},
@@ -35,7 +35,7 @@ NEEDS = {
     "flight": {"compiled", "equations", "tape"},
     "gymnasium": {"policy", "task_space"},
     "new": {"actuators", "design"},
-    "paper": {"analysis", "design"},
+    "paper": {"analysis", "design", "workers"},
     "planning": {"design", "equations", "tape", "task_space"},
     "policy": {"task_space"},
 }

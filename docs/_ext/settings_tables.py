@@ -52,6 +52,7 @@ PAGE_OF = {
     "tape": "many_runs",
     "task_space": "free_floating",
     "udp": "interfaces",
+    "workers": "campaigns_on_a_cluster",
 }
 # keys of Drake's own settings that not every version has
 _OLDER_DRAKE = ("publish_every_time_step",)

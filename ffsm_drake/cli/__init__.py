@@ -12,7 +12,7 @@ from ffsm_drake.cli.run import compare, run
 from ffsm_drake.cli.setup import completion, scenarios, schema, validate
 from ffsm_drake.cli.show import diagram, plot, replay
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.common.workers import ONE_THREAD
+from ffsm_drake.common.threads import ONE_THREAD
 
 
 @click.group(

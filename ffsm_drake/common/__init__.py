@@ -1,1 +1,1 @@
-"""Shared by every room: errors, files written whole, workers, the lifetime of diagrams."""
+"""Shared by every room: errors, files written whole, the lifetime of diagrams."""

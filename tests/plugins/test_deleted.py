@@ -60,6 +60,7 @@ NEEDED = {
     "task_space": [[*SHORT, "--controller", "resolved_rate"]],
     "two_arms": [["run", "two_arms", "--no-report", "--out", "out"]],
     "udp": [["run", "postcapture", "-c", "ffsm_drake.plugins.udp.external:External"]],
+    "workers": [["reproduce", "table2"]],
 }
 # Of a copy of the package: what is left is imported, and commands run.
 CODE = """

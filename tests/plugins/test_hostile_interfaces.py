@@ -400,7 +400,7 @@ SLURM = st.fixed_dictionaries(
 def begin_step(given):
     """Refused, or waited for within the bound: no scheduler is there."""
     from ffsm_drake.common.errors import WorkersError
-    from ffsm_drake.common.workers import slurm_workers
+    from ffsm_drake.plugins.workers.cluster import slurm_workers
 
     for name, value in given.items():
         os.environ.pop(name, None)

@@ -51,7 +51,6 @@ def benchmark(
     from ffsm_drake.common.errors import InterruptedCampaign
     from ffsm_drake.common.files import check_writable, write_text
     from ffsm_drake.common.steps import step
-    from ffsm_drake.common.workers import local_workers, stop_on_signals
     from ffsm_drake.plugins.benchmark.missions import (
         board_so_far,
         check_mission,
@@ -66,6 +65,7 @@ def benchmark(
         board_text,
         checks_table,
     )
+    from ffsm_drake.plugins.workers.pool import local_workers, stop_on_signals
     from ffsm_drake.runs.record import to_json
     from ffsm_drake.show.table_files import write_table
     from ffsm_drake.show.tables import aligned

@@ -27,7 +27,6 @@ from ffsm_drake.common.errors import (
 from ffsm_drake.common.files import check_regular, write_text
 from ffsm_drake.common.shapes import misfit
 from ffsm_drake.common.so3 import in_body_axes
-from ffsm_drake.common.workers import Runs, Stop, WorkerLost, Workers
 from ffsm_drake.plugins.actuators.thrusters import STANDARD_GRAVITY, ThrusterSet
 from ffsm_drake.plugins.benchmark.law_figures import FIGURES, law_figures
 from ffsm_drake.plugins.benchmark.least_time import least_times
@@ -37,6 +36,7 @@ from ffsm_drake.plugins.campaign.run import Progress, check_cases, resume_campai
 from ffsm_drake.plugins.campaign.spec import Spec, spec_from_data
 from ffsm_drake.plugins.campaign.store import create_store, open_store
 from ffsm_drake.plugins.capture.contact import planned_contact
+from ffsm_drake.plugins.workers.pool import Runs, Stop, WorkerLost, Workers
 from ffsm_drake.scenario import (
     Scenario,
     load_scenario,

@@ -1,6 +1,6 @@
 """Campaigns: thousands of runs with dispersed values, in one database, with one report.
 
-spec, dispersion -> cases -> evaluate (in workers, by common.workers) -> store -> statistics ->
+spec, dispersion -> cases -> evaluate (by the plug-in ``workers``) -> store -> statistics ->
 page; ``run`` drives.
 """
 
@@ -9,9 +9,9 @@ from typing import Any
 
 # Imported on first use: the command's help should not wait for Drake.
 _HOMES = {
-    "cluster_workers": "ffsm_drake.common.workers",
+    "cluster_workers": "ffsm_drake.plugins.workers.cluster",
     "load_spec": f"{__name__}.spec",
-    "local_workers": "ffsm_drake.common.workers",
+    "local_workers": "ffsm_drake.plugins.workers.pool",
     "merge_campaigns": f"{__name__}.run",
     "open_store": f"{__name__}.store",
     "repeat_run": f"{__name__}.run",

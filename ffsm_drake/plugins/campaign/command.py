@@ -392,12 +392,8 @@ def _drive(
     slurm: bool,
 ) -> None:
     """Start or resume a campaign with the chosen workers, then print its status."""
-    from ffsm_drake.common.workers import (
-        cluster_workers,
-        local_workers,
-        slurm_workers,
-        stop_on_signals,
-    )
+    from ffsm_drake.plugins.workers.cluster import cluster_workers, slurm_workers
+    from ffsm_drake.plugins.workers.pool import local_workers, stop_on_signals
 
     if sum((workers is not None, scheduler is not None, slurm)) > 1:
         raise CampaignError(

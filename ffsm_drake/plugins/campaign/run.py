@@ -20,7 +20,6 @@ from ffsm_drake.common.interrupts import go_on_by
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.steps import step
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
-from ffsm_drake.common.workers import Runs, Stop, WorkerLost, Workers, local_workers
 from ffsm_drake.plugins.campaign.cases import Case, make_cases, scenario_of
 from ffsm_drake.plugins.campaign.evaluate import (
     CIRCUMSTANCES,
@@ -35,6 +34,7 @@ from ffsm_drake.plugins.campaign.evaluate import (
 )
 from ffsm_drake.plugins.campaign.spec import Spec, check_engine, load_spec
 from ffsm_drake.plugins.campaign.store import Shard, Store, check_columns, create_store, open_store
+from ffsm_drake.plugins.workers.pool import Runs, Stop, WorkerLost, Workers, local_workers
 from ffsm_drake.runs.batches import run_many, usual_batch
 from ffsm_drake.runs.engine import find_engine
 from ffsm_drake.runs.record import RunRecord

@@ -13,8 +13,8 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 
-from ffsm_drake.common.aside import Aside
 from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.plugins.gymnasium.aside import Aside
 from ffsm_drake.plugins.policy.policy import (
     ACTIONS,
     FURTHEST,

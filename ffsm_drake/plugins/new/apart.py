@@ -25,7 +25,7 @@ import yaml
 
 from ffsm_drake.common.errors import FfsmError, ModelError, one_line
 from ffsm_drake.common.memo import memoized
-from ffsm_drake.common.workers import ONE_THREAD
+from ffsm_drake.common.threads import ONE_THREAD
 
 DEADLINE = 60.0  # s
 _PROCESSOR = 30  # s of processor time

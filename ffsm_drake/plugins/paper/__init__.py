@@ -31,7 +31,7 @@ def reproduce(
       what: one of ``PARTS``.
       seeds: number of noise seeds, from 0 on; more give a better mean and spread in Table 2.
       overrides: ``key=value`` for every run (see ``load_scenario``); the page lists them.
-      workers, progress: see ``ffsm_drake.common.workers.map_tasks``.
+      workers, progress: see ``ffsm_drake.plugins.workers.pool.map_tasks``.
       tell: called with what is reproduced of Table 2, what is not, and what was chosen, as text.
 
     Raises:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd  # type: ignore[import-untyped]
 
-from ffsm_drake.common.workers import map_tasks
+from ffsm_drake.plugins.workers.pool import map_tasks
 from ffsm_drake.runs.ending import Outcome
 from ffsm_drake.runs.record import RunRecord, software_versions
 from ffsm_drake.runs.simulate import simulate

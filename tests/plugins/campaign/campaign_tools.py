@@ -13,12 +13,12 @@ import yaml
 from children import PIPE, STDOUT, child, pool, processes
 from click.testing import CliRunner
 
-from ffsm_drake.common.workers import InThisProcess, Stop, Workers
 from ffsm_drake.plugins.campaign.command import campaign
 from ffsm_drake.plugins.campaign.evaluate import CIRCUMSTANCES
 from ffsm_drake.plugins.campaign.run import start_campaign
 from ffsm_drake.plugins.campaign.spec import load_spec
 from ffsm_drake.plugins.campaign.store import open_store
+from ffsm_drake.plugins.workers.pool import InThisProcess, Stop, Workers
 
 SMALL = {
     "description": "a small campaign",

@@ -38,12 +38,12 @@ from children import DEVNULL, PIPE, STDOUT, call, child
 from ffsm_drake import RunRecord
 from ffsm_drake.common.errors import CampaignError
 from ffsm_drake.common.time_limit import time_limit
-from ffsm_drake.common.workers import Stop
 from ffsm_drake.plugins.campaign.cases import make_cases
 from ffsm_drake.plugins.campaign.evaluate import Evaluator
 from ffsm_drake.plugins.campaign.run import resume_campaign, start_campaign
 from ffsm_drake.plugins.campaign.spec import load_spec
 from ffsm_drake.plugins.campaign.store import Shard, create_store, open_store
+from ffsm_drake.plugins.workers.pool import Stop
 
 linux = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds processes in /proc")
 

@@ -13,15 +13,13 @@ import pytest
 from children import PIPE, STDOUT, child
 
 from ffsm_drake.common.errors import ScenarioError, WorkersError
-from ffsm_drake.common.workers import (
+from ffsm_drake.plugins.workers.pool import (
     Runs,
     Stop,
     WorkerLost,
     Workers,
-    cluster_workers,
     local_workers,
     map_tasks,
-    stop_on_signals,
 )
 
 
@@ -145,7 +143,7 @@ def fail_if_odd(task):
 INTERRUPTED = """
 import sys, time
 from ffsm_drake.common.interrupts import exit_code, handle_signals
-from ffsm_drake.common.workers import map_tasks
+from ffsm_drake.plugins.workers.pool import map_tasks
 if __name__ == "__main__":
     handle_signals()
     try:
@@ -171,25 +169,3 @@ def test_signals_stop_after_the_tasks_under_way(tmp_path, workers, sent):
     assert output.splitlines()[-1] == "interrupted"
     assert len(output.splitlines()) < 20
     assert "Traceback" not in output
-
-
-@pytest.mark.smoke
-def test_handlers_are_as_before_afterwards():
-    before = signal.getsignal(signal.SIGINT)
-    with stop_on_signals() as stop:
-        os.kill(os.getpid(), signal.SIGINT)
-        assert stop
-        time.sleep(0.3)  # at once it would be the same one, sent twice
-        with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
-    assert signal.getsignal(signal.SIGINT) is before
-
-
-@pytest.mark.smoke
-def test_no_scheduler_there():
-    pytest.importorskip("distributed")
-    with (
-        pytest.raises(WorkersError, match="no Dask scheduler answers there"),
-        cluster_workers("tcp://127.0.0.1:9", patience=0.5),
-    ):
-        pass

@@ -1,0 +1,1 @@
+"""Processes for many runs: on this machine, or on a Dask cluster."""
