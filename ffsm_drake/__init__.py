@@ -38,9 +38,9 @@ def __getattr__(name: str) -> object:
     if name in _HOME_OF:
         return getattr(importlib.import_module(f"{__name__}.{_HOME_OF[name]}"), name)
     if not name.startswith("_"):
-        plugins = importlib.import_module(f"{__name__}.common.plugins")
-        if name in plugins.offered(plugins.VERBS):
-            return plugins.load(plugins.VERBS, name, f"{__name__}.{name}")
+        verbs = importlib.import_module(f"{__name__}.common.registrations").VERBS
+        if name in verbs.offers():
+            return verbs.load(name, f"{__name__}.{name}")
     raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
 
 

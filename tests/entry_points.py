@@ -1,17 +1,23 @@
 """Packages with entry points, as an installer leaves them."""
 
-from importlib.util import find_spec
+import re
 from pathlib import Path
 
 import pytest
 
-from ffsm_drake.common.plugins import SERVICES, offered, optional
-from ffsm_drake.systems.registry import block_names
+from ffsm_drake.common.registrations import SERVICES, offered, own_plugins
+
+# What a command or an error says without a plug-in.
+MISSING = re.compile(
+    r"no installed plug-in offers|the plug-in '\w+'(, which)? is not installed"
+    r"|no such command '\w+'|'\w+' is unknown; give module:attribute",
+    re.IGNORECASE,
+)
 
 
 def is_there(plugin):
     """False where a plug-in of this package has been deleted."""
-    return find_spec(f"ffsm_drake.plugins.{plugin}") is not None
+    return plugin in own_plugins()
 
 
 def needs(plugin):
@@ -22,7 +28,7 @@ def needs(plugin):
 def uses(service):
     """A mark of tests that are skipped where a service is missing, or a plug-in that it needs."""
     return pytest.mark.skipif(
-        optional(SERVICES, service) is None, reason=f"no installed plug-in offers {service}"
+        SERVICES.find(service) is None, reason=f"no installed plug-in offers {service}"
     )
 
 
@@ -50,8 +56,6 @@ def installed(folder, monkeypatch, modules, groups):
     """A fixture's steps: within a test Python finds the package of ``install``."""
     install(folder, modules, groups)
     monkeypatch.syspath_prepend(folder)
-    for found in (offered, block_names):
-        found.cache_clear()
+    offered.cache_clear()
     yield
-    for found in (offered, block_names):
-        found.cache_clear()
+    offered.cache_clear()

@@ -8,11 +8,11 @@ import pytest
 from entry_points import needs
 
 import ffsm_drake
-from ffsm_drake.common.plugins import VERBS, offered
+from ffsm_drake.common.registrations import VERBS
 
 SLOW = {"design", "run_campaign"}
 NEEDS = {"write_outputs": [needs("report")]}
-NAMES = [*ffsm_drake.__all__, *offered(VERBS)]
+NAMES = [*ffsm_drake.__all__, *VERBS.offers()]
 SEEN = Path(ffsm_drake.__file__).with_suffix(".pyi").read_text()  # by type checkers
 
 

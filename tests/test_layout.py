@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from ffsm_drake.common.registrations import own_plugins
+
 PACKAGE = Path(__file__).parents[1] / "ffsm_drake"
 ROOMS = (
     "common",
@@ -24,21 +26,6 @@ ROOMS = (
 DRAWING = {"matplotlib", "plotly", "jinja2", "markupsafe"}  # what only pictures and pages need
 DRAWS = {"show", "plugins"}
 PLUGINS = "plugins"  # after the rooms; each folder in it is a plug-in
-# plug-in -> others that it may import
-NEEDS = {
-    "benchmark": {"actuators", "campaign", "capture", "design", "workers"},
-    "campaign": {"design", "workers"},
-    "compiled": {"equations", "tape"},
-    "design": {"actuators", "capture", "estimators", "flexible"},
-    "faults": {"actuators", "estimators"},
-    "equations": {"tape"},
-    "flight": {"compiled", "equations", "tape"},
-    "gymnasium": {"policy", "task_space"},
-    "new": {"actuators", "design"},
-    "paper": {"analysis", "design", "workers"},
-    "planning": {"design", "equations", "tape", "task_space"},
-    "policy": {"task_space"},
-}
 # What stands at the top for users: the verbs, the command, the conformance kit.
 FACES = ("__init__", "__main__", "testing")
 
@@ -77,18 +64,24 @@ def test_imports_go_one_way(path):
             assert ROOMS.index(parts[1]) < ROOMS.index(room), f"{path.name} imports {module}"
 
 
-@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: path.name)
-def test_plugins_are_imported_where_they_are_needed(path):
-    inside = path.relative_to(PACKAGE).parts
-    own = inside[1] if inside[0] == PLUGINS else None
-    text = path.read_text()
-    named = set(re.findall(rf"\bffsm_drake\.{PLUGINS}\.(\w+)", text))  # in strings too
-    named |= {
+def plugins_named_in(path: Path) -> set[str]:
+    named = set(re.findall(rf"\bffsm_drake\.{PLUGINS}\.(\w+)", path.read_text()))  # in strings too
+    return named | {
         module.split(".")[2]
         for module in modules_in(path)
         if module.startswith(f"ffsm_drake.{PLUGINS}.")
     }
-    assert named <= {own, *NEEDS.get(own, ())}
+
+
+@pytest.mark.parametrize("plugin", own_plugins())
+def test_a_plugin_needs_those_that_it_names(plugin):
+    named = set().union(*map(plugins_named_in, (PACKAGE / PLUGINS / plugin).rglob("*.py")))
+    assert sorted(named - {plugin}) == list(own_plugins()[plugin].needs)
+
+
+def test_the_core_names_no_plugin():
+    core = [path for path in PACKAGE.rglob("*.py") if room_of(path) != PLUGINS]
+    assert {path: named for path in core if (named := plugins_named_in(path))} == {}
 
 
 TESTS = Path(__file__).parent

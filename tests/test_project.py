@@ -2,7 +2,6 @@
 
 import re
 import tomllib
-from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
@@ -60,15 +59,6 @@ def test_hooks_are_what_ci_lints():
     lint = re.search(r"^lint_and_types\(\) {\n(.+?)\n}", script, re.MULTILINE | re.DOTALL)
     lines = [line.strip() for line in lint[1].splitlines()]
     assert lines == [hook["entry"] for hook in repository["hooks"]]
-
-
-def test_the_installed_entry_points_are_those_of_the_project():
-    """After a change of them run ``pip install -e .`` again."""
-    installed = {}
-    for each in distribution(PROJECT["name"]).entry_points.select():
-        if each.group.startswith("ffsm_drake."):
-            installed.setdefault(each.group, {})[each.name] = each.value
-    assert installed == PROJECT["entry-points"]
 
 
 def test_the_source_distribution_holds_what_the_metadata_are_made_of():

@@ -5,17 +5,15 @@ On any page, ``<!-- laws -->``, ``<!-- scenarios -->`` and ``<!-- plugins -->`` 
 what the package contains. ``python docs/_ext/settings_tables.py`` prints all of them.
 """
 
-import ast
 import dataclasses
 import inspect
 import re
 import typing
-from collections.abc import Callable, Iterator, Mapping
-from importlib.metadata import entry_points
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import ffsm_drake
+from ffsm_drake.common.registrations import own_plugins, plugin_of
 from ffsm_drake.common.settings import Setting, settings_of
 from ffsm_drake.loop.blocks import BLOCKS
 from ffsm_drake.scenario import (
@@ -31,29 +29,6 @@ from ffsm_drake.systems.registry import find_factory, shipped_names
 
 MARK = "<!-- table -->"
 DOCS = Path(__file__).parents[1]
-PLUGINS = Path(ffsm_drake.__file__).parent / "plugins"
-# Plug-in -> page about it, without an entry if the page has the plug-in's name. "": the core.
-PAGE_OF = {
-    "": "controllers",
-    "analysis": "findings",
-    "campaign": "campaigns",
-    "compiled": "many_runs",
-    "equations": "many_runs",
-    "design": "verdict",
-    "environment": "orbit",
-    "exports": "interfaces",
-    "inputs": "repeat_a_run",
-    "flight": "flight_code",
-    "interactive": "meshcat",
-    "new": "own_arm",
-    "paper": "reproduction",
-    "policy": "trained_policy",
-    "report": "quickstart",
-    "tape": "many_runs",
-    "task_space": "free_floating",
-    "udp": "interfaces",
-    "workers": "campaigns_on_a_cluster",
-}
 # keys of Drake's own settings that not every version has
 _OLDER_DRAKE = ("publish_every_time_step",)
 _BLOCK_KEYS = {
@@ -237,9 +212,9 @@ def law_table() -> str:
     lines = ["| `controller` | law | page |", "|---|---|---|"]
     for name in shipped_names("controller"):
         factory: Any = find_factory("controller", name)
-        lines.append(
-            f"| `{name}` | {_first(factory.__doc__)} | {_link(_plugin(factory.__module__))} |"
-        )
+        plugin = plugin_of(factory.__module__)
+        page = own_plugins()[plugin].page if plugin else "controllers"
+        lines.append(f"| `{name}` | {_first(factory.__doc__)} | {_link(page)} |")
     return "\n".join(lines)
 
 
@@ -252,42 +227,26 @@ def scenario_list() -> str:
 
 
 def plugin_table() -> str:
-    """The plug-ins, with what they bring, their entry points and imports, as Markdown."""
-    lines = ["| plug-in | what it brings | entry points | imports |", "|---|---|---|---|"]
-    for folder in sorted(path.parent for path in PLUGINS.glob("*/__init__.py")):
-        name, code = folder.name, [path.read_text() for path in sorted(folder.rglob("*.py"))]
-        brings = _first(ast.get_docstring(ast.parse((folder / "__init__.py").read_text())))
-        link = _link(name)
-        imports = "\n".join(re.findall(r"^\s*(?:from|import) .*", "\n".join(code), re.M))
-        others = {*re.findall(r"ffsm_drake\.plugins(?: import |\.)(\w+)", imports)} - {name}
+    """The plug-ins, with what they bring, import and use, as Markdown."""
+    lines = ["| plug-in | capability | brings | imports | uses |", "|---|---|---|---|---|"]
+    for name, plugin in own_plugins().items():
+        brings = [
+            f"{group.replace('_', ' ')} {_names(names)}" for group, names in plugin.brings.items()
+        ]
+        page = f" ({_link(plugin.page)})" if plugin.page else ""
         lines.append(
-            f"| `{name}` | {brings}{f' ({link})' if link else ''} | {_offers(name)} | "
-            f"{', '.join(f'`{other}`' for other in sorted(others))} |"
+            f"| `{name}` | {_escaped(plugin.about)}{page} | {'; '.join(brings)} | "
+            f"{_names(plugin.needs)} | {_names(plugin.uses)} |"
         )
     return "\n".join(lines)
 
 
-def _offers(plugin: str) -> str:
-    """The entry points of a plug-in by kind."""
-    kinds = []
-    for group in sorted(entry_points().groups):
-        found = {each.name for each in entry_points(group=group) if _plugin(each.module) == plugin}
-        if group.startswith("ffsm_drake.") and found:
-            kind = group.removeprefix("ffsm_drake.").replace("_", " ")
-            kinds.append(f"{kind} {', '.join(f'`{name}`' for name in sorted(found))}")
-    return "; ".join(kinds)
+def _names(names: Iterable[str]) -> str:
+    return ", ".join(f"`{name}`" for name in names)
 
 
-def _plugin(module: str) -> str:
-    """The plug-in that a module is part of; empty: none."""
-    return module.split(".")[2] if module.startswith("ffsm_drake.plugins.") else ""
-
-
-def _link(plugin: str) -> str:
-    """The page about a plug-in, or about the laws of the core."""
-    page = PAGE_OF.get(plugin, plugin)
-    file = DOCS / f"{page}.md"
-    return f"[{page.replace('_', ' ')}]({page}.md)" if file.exists() else ""
+def _link(page: str) -> str:
+    return f"[{page.replace('_', ' ')}]({page}.md)"
 
 
 def _first(docstring: str | None) -> str:

@@ -25,8 +25,10 @@ from ffsm_drake.common.errors import (
 )
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.interrupts import exit_code, last_words
-from ffsm_drake.common.plugins import COMMANDS, load, offered
+from ffsm_drake.common.registrations import Registry
 
+# Each module imports slow packages inside of the command.
+COMMANDS = Registry[click.Command]("commands")
 EXIT_GOOD, EXIT_BAD_INPUT, EXIT_UNSTABLE = 0, 2, 3
 
 
@@ -90,20 +92,20 @@ class ExtensibleGroup(CommandGroup):
     """
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return sorted({*self.commands, *offered(COMMANDS)})
+        return sorted({*self.commands, *COMMANDS.offers()})
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         known = super().get_command(ctx, cmd_name)
         return (
             _command_of_plugin(cmd_name)
-            if known is None and cmd_name in offered(COMMANDS)
+            if known is None and cmd_name in COMMANDS.offers()
             else known
         )
 
 
 def _command_of_plugin(name: str) -> click.Command:
     try:
-        found = load(COMMANDS, name, f"'{name}'")
+        found = COMMANDS.load(name, f"'{name}'")
         if isinstance(found, click.Command):
             return found
         kind = type(found).__name__

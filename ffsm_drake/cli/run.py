@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import click
 
@@ -30,11 +30,24 @@ from ffsm_drake.cli.common import (
 )
 from ffsm_drake.cli.progress import ProgressLine
 from ffsm_drake.common.interrupts import writing
-from ffsm_drake.common.plugins import LIVE, SERVICES, load, optional
+from ffsm_drake.common.registrations import SERVICES, Registry
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
     from ffsm_drake.scenario import Scenario
+
+
+class LiveView(Protocol):
+    """Runs a scenario that a user watches.
+
+    Returns: the record; for "controls", what ``keep`` returned for the record of each run.
+    """
+
+    def __call__(self, scenario: "Scenario", **options: Any) -> Any: ...
+
+
+# "meshcat", "foxglove", "controls": by the option of ``run``.
+LIVE = Registry[LiveView]("live")
 
 _out = out_option(
     help="Default: out/NAME of the scenario, with the controller's name added if it is not the "
@@ -121,10 +134,10 @@ def run(
         sys.exit(_finish(records, directory, as_json=as_json, report=report, require=require))
     _warn_replaced([(directory, scenario)], directory)
     if meshcat:
-        record = load(LIVE, "meshcat", "--meshcat")(scenario, open_browser=True)
+        record = LIVE.load("meshcat", "--meshcat")(scenario, open_browser=True)
     elif foxglove:
         tell = partial(click.echo, err=True)
-        record = load(LIVE, "foxglove", "--foxglove")(scenario, tell=tell)
+        record = LIVE.load("foxglove", "--foxglove")(scenario, tell=tell)
     else:
         record = _simulate(scenario, directory, before, engine)
     directory = _saved(record, directory, before)
@@ -227,7 +240,7 @@ def _distances(records: Sequence["RunRecord"]) -> list[float] | None:
     """
     from ffsm_drake.common.errors import FfsmError, one_line
 
-    find_limit = optional(SERVICES, "lqg_limit")
+    find_limit = SERVICES.find("lqg_limit")
     if find_limit is None:
         return None
     distances, missing = [], dict[str, list[str]]()  # reason -> controllers
@@ -289,7 +302,7 @@ def _run_with_controls(scenario: "Scenario", directory: Path) -> list["RunRecord
     """Run live under an operator's panel; each run is saved into a folder of its own."""
     from ffsm_drake.runs.record import RunRecord
 
-    run_interactive = load(LIVE, "controls", "--controls")
+    run_interactive = LIVE.load("controls", "--controls")
     click.echo("The panel is under Open Controls, at the top right of the page.", err=True)
     folders = (
         folder for k in itertools.count(1) if not (folder := directory / f"run_{k}").exists()
@@ -370,14 +383,14 @@ def _finish(
     looked_at = () if stopped else records  # an interrupted command has little time
     for record in looked_at:
         with trying("remarks"):
-            advice_on = optional(SERVICES, "advice") or (lambda record: ())
+            advice_on = SERVICES.find("advice") or (lambda record: ())
             for remark in (*run_remarks(record), *advice_on(record)):
                 said.setdefault(remark, []).append(record.scenario.controller)
     for remark, names in said.items():
         click.echo(f"warning: {', '.join(dict.fromkeys(names))}: {remark}", err=True)
     for record in looked_at:
         with trying("remedy"):
-            remedy_of = optional(SERVICES, "remedy") or (lambda record, directory: None)
+            remedy_of = SERVICES.find("remedy") or (lambda record, directory: None)
             if file := remedy_of(record, directory):
                 click.echo(
                     f"{record.scenario.controller}: a changed scenario is in {file}; run it with: "

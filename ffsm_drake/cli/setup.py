@@ -18,7 +18,7 @@ from ffsm_drake.cli.common import (
     print_result,
     rehearsal_option,
 )
-from ffsm_drake.common.plugins import SERVICES, optional
+from ffsm_drake.common.registrations import SERVICES
 
 
 @click.command()
@@ -129,9 +129,9 @@ def _validated(
         scenario = load_scenario(name, overrides)
         check_pictures(scenario.model)
         loop = check_start(scenario)
-        if (mission := optional(SERVICES, "mission")) is not None:
+        if (mission := SERVICES.find("mission")) is not None:
             found, lines = mission(loop.scenario, rehearsal=rehearsal)
-    layered = optional(SERVICES, "layer_remarks") or (lambda name, overrides: ())
+    layered = SERVICES.find("layer_remarks") or (lambda name, overrides: ())
     told = [*(str(item.message) for item in caught), *found["warnings"], *layered(name, overrides)]
     return {
         "valid": True,

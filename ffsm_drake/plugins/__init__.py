@@ -1,5 +1,4 @@
 """Plug-ins: each folder is a package that can be deleted; nothing outside imports it by name.
 
-A plug-in offers its objects by entry points of ``pyproject.toml``, as any installed package does.
-``ffsm_drake.common.plugins`` lists the groups.
+The file ``plugin.py`` of each declares what it brings (``ffsm_drake.common.registrations``).
 """

@@ -4,7 +4,7 @@ from collections.abc import Collection, Sequence
 from typing import Any
 
 from ffsm_drake.common.errors import FfsmError, choices
-from ffsm_drake.common.plugins import ENGINES, load, offered
+from ffsm_drake.common.registrations import Registry
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.registry import Factory
 
@@ -21,7 +21,7 @@ class NotCovered(FfsmError):
 
 
 class Engine:
-    """Computes whole runs; plug-ins derive from it (entry point group ``ENGINES``)."""
+    """Computes whole runs; plug-ins derive from it (``ENGINES``)."""
 
     name: str
     batch = 64  # usual number of runs at once
@@ -49,6 +49,10 @@ class Engine:
         raise NotCovered("actions of an agent")
 
 
+# By name; a class is made without arguments.
+ENGINES = Registry[type[Engine]]("engines")
+
+
 def on_drake(found: NotCovered | None) -> str:
     """Return the engine in the log of a run that Drake computes for another engine, which returned
     this in its place.
@@ -65,9 +69,7 @@ def find_engine(name: str) -> Engine | None:
     """
     if name == DRAKE:
         return None
-    known = [DRAKE, *offered(ENGINES)]
+    known = [DRAKE, *ENGINES.offers()]
     if name not in known:
         raise FfsmError(f"engine: '{name}' is unknown; choose one of {choices(name, known)}")
-    made: Any = load(ENGINES, name, "engine")
-    engine: Engine = made()
-    return engine
+    return ENGINES.load(name, "engine")()

@@ -15,7 +15,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import RecordError, one_line, spared
 from ffsm_drake.common.files import check_writable, published, stamp
-from ffsm_drake.common.plugins import SERVICES, optional
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.runs.ending import NOT_SETTLED, Ending, Outcome, ending_of
 from ffsm_drake.runs.engine import DRAKE
 from ffsm_drake.runs.metrics import compute_metrics
@@ -217,7 +217,7 @@ class RunRecord:
                     self.dataset.dump_to_store(store, encoding=encoding)
             except RuntimeError as error:  # the netCDF library's error for a full disk
                 raise OSError(one_line(error)) from error
-            if keep := optional(SERVICES, "keep_inputs"):
+            if keep := SERVICES.find("keep_inputs"):
                 with spared(INPUTS.name):
                     manifest |= {"inputs": kept} if (kept := keep(self.scenario, folder)) else {}
             identifier = digest_of(folder / DATASET_FILE)

@@ -22,7 +22,7 @@ from ffsm_drake.common.files import same_folder
 from ffsm_drake.common.guard import guarded, passes
 from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.common.lifetime import untie
-from ffsm_drake.common.plugins import service
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, build_closed_loop
 from ffsm_drake.runs.blame import bad_output, failure_of, unconnected
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, Outcome
@@ -477,7 +477,7 @@ def make_rollout(
     """Return the rollout of a scenario: a ``Rollout``, or with a capture one with the same
     methods. Arguments and errors: see ``Rollout``.
     """
-    kind = service("capture_rollout", "capture") if scenario.grasps else Rollout
+    kind = SERVICES.load("capture_rollout", "capture") if scenario.grasps else Rollout
     if len(closing_times(scenario)) > 1:
-        kind = service("later_hands_rollout", "contacts.closes")
+        kind = SERVICES.load("later_hands_rollout", "contacts.closes")
     return kind(scenario, blocks=blocks, meshcat=meshcat)

@@ -12,7 +12,7 @@ from pydrake.geometry import Meshcat
 from ffsm_drake.common.errors import BlockError, FfsmError, spared
 from ffsm_drake.common.files import same_folder
 from ffsm_drake.common.guard import guarded, is_user_supplied
-from ffsm_drake.common.plugins import SERVICES, optional
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.common.settings import settings_of
 from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import block_sources
@@ -134,7 +134,7 @@ def prepare(
         scenario = checked(scenario)
         if "reference" not in (blocks or {}) and scenario.blocks.reference is None:
             scenario = timed(scenario)
-        if check_stability and (plan_remarks := optional(SERVICES, "plan_remarks")) is not None:
+        if check_stability and (plan_remarks := SERVICES.find("plan_remarks")) is not None:
             for remark in plan_remarks(scenario):
                 warnings.warn(remark, LimitWarning, stacklevel=3)
         # before the verdict, which takes longer: what is refused shows at once
@@ -144,7 +144,7 @@ def prepare(
             if (
                 check_stability
                 and not user_supplied(scenario, blocks)
-                and (verdict := optional(SERVICES, "verdict")) is not None
+                and (verdict := SERVICES.find("verdict")) is not None
             ):
                 rollout.check()
                 for remark in verdict(scenario, rehearsal=False).warnings:
@@ -175,7 +175,7 @@ def make_record(
     """
     scenario = repeatable_scenario(log.scenario, blocks or {})
     grasp = None if log.grasp is None else log.grasp.ledger(log.time, log.coordinates)
-    if grasp is not None and (budget_of := optional(SERVICES, "momentum_budget")) is not None:
+    if grasp is not None and (budget_of := SERVICES.find("momentum_budget")) is not None:
         with spared("momentum_budget"):
             budget = budget_of(scenario)
             grasp |= {} if budget is None else {"momentum_budget": dataclasses.asdict(budget)}

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ffsm_drake.common.files import write_text
-from ffsm_drake.common.plugins import SERVICES, optional
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.runs.reading import REPORT_FILE
 from ffsm_drake.runs.record import RunRecord
 
@@ -49,7 +49,7 @@ def write_outputs(
     from ffsm_drake.show.meshcat import recording_html
 
     directory = Path(directory)
-    write_report, written = optional(SERVICES, "report"), list[Path]()
+    write_report, written = SERVICES.find("report"), list[Path]()
     shown = recording_html(records[0], forces=True)
     if write_report is None:
         warnings.warn("no report is written: no installed plug-in offers it", stacklevel=2)

@@ -22,7 +22,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.errors import ModelError, choices, one_line
 from ffsm_drake.common.files import check_regular
-from ffsm_drake.common.plugins import SERVICES, optional, service
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.common.so3 import rpy_of
 from ffsm_drake.scenario import Model, Posture, Scenario
 from ffsm_drake.spacecraft.coordinates import (
@@ -108,7 +108,7 @@ def flexible_parts() -> Any:
     """Return the plug-in that adds the parts of ``model.flexible``. Raises BlockError without
     it.
     """
-    return service("flexible", "model.flexible")
+    return SERVICES.load("flexible", "model.flexible")
 
 
 def check_pictures(model: Model) -> None:
@@ -324,7 +324,7 @@ def _add_models(
         except (OSError, ValueError) as error:  # too long, no permission, a folder, ...
             raise ModelError(f"{place}: cannot be read: {one_line(error)}; {remedy}") from error
     files = files_of(file, place, packages)
-    if (trial := optional(SERVICES, "model_trial")) is not None:
+    if (trial := SERVICES.find("model_trial")) is not None:
         trial(file, place, files, packages)
     with mended(files) as copies:
         try:

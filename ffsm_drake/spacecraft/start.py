@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ffsm_drake.common.plugins import service
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration
@@ -23,12 +23,14 @@ def state_at_start(scenario: Scenario, model: PlantModel) -> np.ndarray:
     if scenario.grasps and model.grip.holds:
         state[model.plant.num_positions() :] += _after_grasp(scenario, model)
     if len(scenario.contacts) > 1:
-        closed: np.ndarray = service("closed_chain_start", "contacts")(scenario, model, state)
+        closed: np.ndarray = SERVICES.load("closed_chain_start", "contacts")(scenario, model, state)
         return closed
     return state
 
 
 def _after_grasp(scenario: Scenario, model: PlantModel) -> np.ndarray:
     """Velocity (nv) right after the grasp of the target with the model's payload."""
-    velocity: np.ndarray = service("planned_contact", "capture")(scenario, model).grasp.velocity
+    velocity: np.ndarray = SERVICES.load("planned_contact", "capture")(
+        scenario, model
+    ).grasp.velocity
     return velocity

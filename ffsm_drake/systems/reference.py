@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ffsm_drake.common.plugins import service
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.scenario import WHOLE, Grip, Posture, Scenario, planned_part
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
@@ -63,7 +63,7 @@ def make_motion(scenario: Scenario, coordinates: Coordinates, grip: Grip = WHOLE
     reference, period = scenario.reference, scenario.sample_time
     approach: PlannedMotion | None = None
     if scenario.grasp_time > 0.0:
-        approach = service("planned_approach", "capture.approach")(scenario)
+        approach = SERVICES.load("planned_approach", "capture.approach")(scenario)
         if not grip.holds:
             return approach
     nominal = functools.cache(lambda: make_nominal_plant(scenario, grip))  # few motions need it
@@ -112,7 +112,7 @@ def _follow(
     the conservation of momentum. A closed chain's follow its target.
     """
     if len(scenario.contacts) > 1:
-        chain: PlannedMotion = service("closed_chain_motion", "contacts")(
+        chain: PlannedMotion = SERVICES.load("closed_chain_motion", "contacts")(
             motion, scenario, make_nominal()
         )
         return chain
@@ -130,10 +130,10 @@ def _follow(
     # All inputs of the quantities derived from the motion.
     content, period = (part, files_read(scenario), motion.end), scenario.sample_time
     if scenario.reference.frame is None:
-        follow = service("free_motion", "actuation.driven")
+        follow = SERVICES.load("free_motion", "actuation.driven")
         followed: PlannedMotion = follow(motion, model=nominal, sample_time=period, content=content)
         return followed
-    resolved: PlannedMotion = service("resolved_motion", "reference.frame")(
+    resolved: PlannedMotion = SERVICES.load("resolved_motion", "reference.frame")(
         motion,
         path=make_frame_path(scenario, nominal, duration=motion.end),
         goal=scenario.reference.frame,

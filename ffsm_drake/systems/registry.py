@@ -9,9 +9,8 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from ffsm_drake.common import plugins
 from ffsm_drake.common.errors import (
     BlockError,
     FfsmError,
@@ -21,20 +20,23 @@ from ffsm_drake.common.errors import (
     one_line,
 )
 from ffsm_drake.common.guard import calling, failure, is_installed, passes
-from ffsm_drake.common.plugins import (
-    CONTROLLER_FILES,
-    is_deleted,
-    is_ours,
-    load,
-    offered,
-    optional,
-)
+from ffsm_drake.common.registrations import Registry, plugin_of
 from ffsm_drake.scenario import HELD, Grip, Scenario, kind_of, policy_parts
 from ffsm_drake.systems.parts.actuator import BaseActuator
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.setup import BlockSetup
 
 Factory = Callable[[BlockSetup], Any]
+
+
+class ControllerFile(Protocol):
+    """Returns the factory of a law in a file, such as a policy.
+
+    Args: the path of the file; the name of the law, empty: the file's only one.
+    """
+
+    def __call__(self, path: Path, *, law: str) -> Factory: ...
+
 
 _LAWS = "ffsm_drake.systems.controllers.laws"
 # Block -> name -> address, of the core's own. A new law here is one line.
@@ -54,8 +56,7 @@ SHIPPED: dict[str, dict[str, str]] = {
     },
 }
 # Sections of the scenario that a part describes, in the order of the parts, with whether a scenario
-# uses one: a block of the same name, or a part within a block or beside it. A plug-in offers its
-# parts by entry points (``common.plugins.SECTIONS``).
+# uses one: a block of the same name, or a part within a block or beside it. See also ``PARTS``.
 SECTIONS: dict[str, Callable[[Scenario], Any]] = {
     "reference": lambda _: True,
     "sensing": lambda _: True,
@@ -78,28 +79,29 @@ SECTIONS: dict[str, Callable[[Scenario], Any]] = {
 
 def _has_actuators(scenario: Scenario) -> bool:
     """Ideal ones too, where they can be made."""
-    return not scenario.actuation.is_ideal or optional(plugins.SECTIONS, "actuation") is not None
+    return not scenario.actuation.is_ideal or PARTS.find("actuation") is not None
 
 
 # A policy found so far -> the folder that its file's name is relative to, and the file.
 _POLICIES: dict[str, tuple[Path, Path]] = {}
-# Block -> entry point group where installed packages offer further ones.
-ENTRY_POINT_GROUPS = {
-    "reference": "ffsm_drake.reference",
-    "sensing": "ffsm_drake.sensing",
-    "controller": "ffsm_drake.controllers",
-    "actuation": "ffsm_drake.actuation",
-    "forces": "ffsm_drake.forces",
-    "phases": "ffsm_drake.phases",
+# Block -> further factories that can fill it.
+FACTORIES: dict[str, Registry[Factory]] = {
+    "reference": Registry("reference"),
+    "sensing": Registry("sensing"),
+    "controller": Registry("controllers"),
+    "actuation": Registry("actuation"),
+    "forces": Registry("forces"),
+    "phases": Registry("phases"),
 }
+# By the section of the scenario that a part describes.
+PARTS = Registry[type[Part]]("sections")
+# By the beginning of ``KIND:FILE@LAW``.
+CONTROLLER_FILES = Registry[ControllerFile]("controller_files")
 
 
-@functools.cache  # looks for the folders of the plug-ins
 def block_names(block: str) -> tuple[str, ...]:
     """Return names of the systems that can fill a block: shipped, then installed."""
-    own, offering = SHIPPED.get(block, {}), offered(ENTRY_POINT_GROUPS[block])
-    others = [name for name in offering if name not in own and not is_deleted(offering[name])]
-    return (*own, *sorted(others, key=lambda name: not is_ours(offering[name])))
+    return tuple({**SHIPPED.get(block, {}), **FACTORIES[block].offers()})
 
 
 def shipped_names(block: str) -> tuple[str, ...]:
@@ -109,8 +111,8 @@ def shipped_names(block: str) -> tuple[str, ...]:
 
 def is_shipped(block: str, name: str) -> bool:
     """True if a name stands for a system of this package."""
-    found = offered(ENTRY_POINT_GROUPS[block]).get(name)
-    return name in SHIPPED.get(block, {}) or (found is not None and is_ours(found))
+    found = FACTORIES[block].offers().get(name)
+    return name in SHIPPED.get(block, {}) or (found is not None and plugin_of(found.module) != "")
 
 
 def section_parts(
@@ -148,18 +150,16 @@ def section_kind(name: str) -> type[Part]:
     deleted.
     """
     own: dict[str, str] = SHIPPED["section"]
-    kind: type[Part]
-    if name in own:
-        kind = _load(own[name], name, ())
-    else:
-        kind = load(plugins.SECTIONS, name, f"the scenario's section '{name}'")
+    if name not in own:
+        return PARTS.load(name, f"the scenario's section '{name}'")
+    kind: type[Part] = _load(own[name], name, ())
     return kind
 
 
 def section_kinds() -> Iterator[type[Part]]:
     """The parts of all sections, of those that are installed."""
     for name in SECTIONS:
-        if name in SHIPPED["section"] or optional(plugins.SECTIONS, name) is not None:
+        if name in SHIPPED["section"] or PARTS.find(name) is not None:
             yield section_kind(name)
 
 
@@ -169,7 +169,7 @@ def find_factory(
     """Return the factory of a block.
 
     Args:
-      block: "controller", "sensing", ... as in ``ENTRY_POINT_GROUPS``.
+      block: "controller", "sensing", ... as in ``FACTORIES``.
       name: a shipped or installed name, ``module:attribute``, or for a controller ``policy:FILE``
         or ``policy:FILE@LAW``.
       key: the name's place in the scenario, for errors; default: the block.
@@ -183,23 +183,22 @@ def find_factory(
     address = SHIPPED.get(block, {}).get(name, name)
     try:
         if block == "controller" and (policy := policy_parts(name)):
-            read = load(CONTROLLER_FILES, "policy", place)
+            read = CONTROLLER_FILES.load("policy", place)
             factory = read(_policy_file(name, policy[0], place, python_path), law=policy[1])
         elif ":" in address:
             factory = _load(address, place, python_path)
         else:
-            offering = offered(ENTRY_POINT_GROUPS[block])
-            if name not in offering:
+            if name not in FACTORIES[block].offers():
                 names = block_names(block)
                 choice = f", or choose one of {choices(name, names)}" if names else ""
                 raise ScenarioError(
                     key or block, f"'{name}' is unknown; give module:attribute{choice}"
                 )
-            factory = offering[name].load()
+            factory = FACTORIES[block].offers()[name].load()
     except FfsmError:
         raise
     except ModuleNotFoundError as error:
-        if plugin := plugins.deleted_plugin(error):
+        if plugin := plugin_of(str(error.name)):
             missing = f"the plug-in '{plugin}' is not installed: {one_line(error)}"
             raise BlockError(f"{place}: {missing}") from error
         if (right := name.replace(".py:", ":")) != name:

@@ -2,7 +2,6 @@
 
 import errno
 import os
-import sys
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from click.testing import CliRunner
 
 from ffsm_drake import RunRecord
 from ffsm_drake.cli import main
-from ffsm_drake.common import plugins
+from ffsm_drake.common.registrations import Registry
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
 FAILURES = (
@@ -44,17 +43,16 @@ def check(step, failure, folder, monkeypatch):
     def fail(*_, **__):
         raise failure
 
-    offered = plugins.optional
+    find = Registry.find
     with monkeypatch.context() as patched:
         if step in STEPS:
             patched.setattr(f"ffsm_drake.{step}", fail)
         else:
-            for module in ("cli.run", "show.outputs"):
-                patched.setattr(
-                    sys.modules[f"ffsm_drake.{module}"],
-                    "optional",
-                    lambda group, name: fail if name == step else offered(group, name),
-                )
+            patched.setattr(
+                Registry,
+                "find",
+                lambda registry, name: fail if name == step else find(registry, name),
+            )
         pictures = [] if (STEPS | SERVICES)[step] == "report" else ["--no-report"]
         line = ["run", "--set", "duration=0.05", "--out", str(folder), *pictures]
         result = CliRunner().invoke(main, line)

@@ -20,7 +20,6 @@ import math
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -30,9 +29,10 @@ from last_bits import with_other_last_bits
 
 from ffsm_drake import FfsmError, RunRecord, load_scenario, simulate
 from ffsm_drake.cli import main as ffsm
+from ffsm_drake.common.registrations import plugin_of
 from ffsm_drake.scenario import scenario_to_dict, shipped_scenarios
 from ffsm_drake.show.results import results_of
-from ffsm_drake.systems.registry import shipped_names
+from ffsm_drake.systems.registry import FACTORIES, shipped_names
 
 FOLDER = Path(__file__).parent
 RUNS = FOLDER / "runs"
@@ -40,9 +40,9 @@ EVERY = 20  # control samples
 # Of these scenarios every law runs.
 WITH_EVERY_LAW = ("postcapture", "flight_sensors", "tumbling_capture", "free_floating")
 BASELINES = {
-    each.name
-    for each in entry_points(group="ffsm_drake.controllers")
-    if each.value.startswith("ffsm_drake.plugins.baselines.")
+    name
+    for name, offer in FACTORIES["controller"].offers().items()
+    if plugin_of(offer.module) == "baselines"
 }
 DURATION = "duration=2"
 # A short approach, mild enough to be followed.

@@ -23,7 +23,7 @@ from ffsm_drake import (
 )
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import placed
-from ffsm_drake.common.plugins import SERVICES, VERBS, optional
+from ffsm_drake.common.registrations import SERVICES, VERBS
 from ffsm_drake.common.settings import Setting, settings_of
 from ffsm_drake.scenario import Scenario, checked
 from ffsm_drake.scenario.resolving import schema_fields, without_null
@@ -177,9 +177,9 @@ def test_of_an_override(case):
 ENTRIES = {
     "simulate": simulate,
     "simulate_many": lambda scenario: simulate_many([scenario, scenario]),
-    "verdict": optional(SERVICES, "verdict"),
-    "stability": optional(VERBS, "stability"),
-    "design": optional(VERBS, "design"),
+    "verdict": SERVICES.find("verdict"),
+    "stability": VERBS.find("stability"),
+    "design": VERBS.find("design"),
 }
 
 

@@ -1,1 +1,0 @@
-"""Limits and delays of actuators, joint drives, reaction wheels, thrusters and their plumes."""

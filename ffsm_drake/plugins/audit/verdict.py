@@ -16,7 +16,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from ffsm_drake.common.errors import ModelError, RecordError
 from ffsm_drake.common.files import write_text
 from ffsm_drake.common.numbers import counted
-from ffsm_drake.common.plugins import service
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.plugins.audit.checks import Audit, Check, fault, undecided
 from ffsm_drake.plugins.audit.dynamics import Dynamics
 from ffsm_drake.plugins.audit.efforts import check_efforts
@@ -72,7 +72,7 @@ def _plant(file: Path) -> MultibodyPlant:
         if file.suffix.lower() not in _DIRECT:
             given = Path(folder, f"{file.stem}.urdf")
             try:
-                write_text(given, service("model_as_urdf", "--urdf")(file))
+                write_text(given, SERVICES.load("model_as_urdf", "--urdf")(file))
             except ModelError as error:
                 raise ModelError(f"{file}: {error}") from None
         try:

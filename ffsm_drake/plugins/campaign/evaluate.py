@@ -20,7 +20,7 @@ from ffsm_drake.common.errors import BlockError, LimitError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import number
-from ffsm_drake.common.plugins import service
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of
 from ffsm_drake.plugins.campaign.cases import Case, scenario_of, with_controller
@@ -336,7 +336,7 @@ class Evaluator:
                 if case.index not in cases:
                     scenario = timed(scenario_of(self._spec, case, controller))
                     if scenario.approach is not None:  # one that is refused would stop all
-                        service("planned_approach", "capture.approach")(scenario)
+                        SERVICES.load("planned_approach", "capture.approach")(scenario)
                     cases[case.index] = scenario
                 scenarios[place] = with_controller(cases[case.index], controller)
             except Exception as error:

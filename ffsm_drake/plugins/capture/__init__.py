@@ -1,1 +1,0 @@
-"""Capture of a moving target by approach, grasp and closing gripper; supervisor of a mission."""

@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import Frame, RigidBody
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.common.plugins import service
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.common.so3 import quaternion_of, skew
 from ffsm_drake.plugins.capture.compliant import compliant_grasp
 from ffsm_drake.plugins.capture.free_body import FINE_TURN, Target, path_of
@@ -231,7 +231,7 @@ def closed_chain(
     (m, nv) of the closed loops.
     """
     found: tuple[np.ndarray, np.ndarray]
-    found = service("closed_chain", "contacts")(scenario, model, q, **how)
+    found = SERVICES.load("closed_chain", "contacts")(scenario, model, q, **how)
     return found
 
 

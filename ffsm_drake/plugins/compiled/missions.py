@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, one_line
-from ffsm_drake.common.plugins import service
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.plugins.compiled.blocks import at_start, row, sizes_of
 from ffsm_drake.plugins.compiled.called import parts
 from ffsm_drake.plugins.compiled.case import Case
@@ -186,7 +186,7 @@ class Lane:
         self._nudge, self._start = nudge, time.perf_counter()
         mission = Mission(kinds={"": Stop()})
         if scenario.grasps:
-            mission = service("capture_mission", "capture")(scenario)
+            mission = SERVICES.load("capture_mission", "capture")(scenario)
         self._course = Course(mission, scenario)
         # what a run that is lost has for its log
         is_detected = own is not None and own.case.made.detector is not None

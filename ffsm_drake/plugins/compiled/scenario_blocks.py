@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from ffsm_drake.common.plugins import SERVICES, optional
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.loop.blocks import DISTURBANCE, factory_of
 from ffsm_drake.plugins.compiled.blocks import Parts
 from ffsm_drake.plugins.compiled.followed_reference import FollowedReference
@@ -100,7 +100,7 @@ class ScenarioBlocks:
 
     def _acting(self) -> tuple[tuple[Sampled, ...], tuple[Continuous, ...]]:
         """The actuators after limits, quantisation and delay, and the flows beside them."""
-        make = optional(SERVICES, "acting_blocks")
+        make = SERVICES.find("acting_blocks")
         if make is None:
             return (), ()
         row, beside = make(self._plain.scenario, self._plain.coordinates)

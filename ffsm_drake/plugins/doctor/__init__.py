@@ -1,1 +1,0 @@
-"""A check of the installation."""

@@ -1,26 +1,21 @@
 """The command ``ffsm doctor``: the installation is checked by trying each part."""
 
 import platform
+import re
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable
-from importlib.metadata import version
+from collections.abc import Callable, Iterable
+from functools import partial
+from importlib.metadata import PackageNotFoundError, entry_points, requires, version
 from pathlib import Path
+from typing import Any
 
 import click
 
 from ffsm_drake.cli.common import EXIT_BAD_INPUT, json_option, print_result
 from ffsm_drake.common.errors import FfsmError, one_line
-from ffsm_drake.common.plugins import (
-    COMMANDS,
-    CONTROLLER_FILES,
-    ENGINES,
-    EXPORTERS,
-    LIVE,
-    load,
-    offered,
-)
+from ffsm_drake.common.registrations import Plugin, Registry, offered, own_plugins, plugin_of
 
 
 @click.command()
@@ -53,7 +48,11 @@ def examine() -> list[dict[str, str]]:
         ("a short run", "missing", _short_run),
         ("writing here", "missing", _writing),
         ("controllers", "without", _controllers),
-        ("plug-ins", "without", _plugins),
+        *(
+            (f"plug-in {name}", "without", partial(_plugin, plugin))
+            for name, plugin in own_plugins().items()
+        ),
+        ("other plug-ins", "without", _other_plugins),
         ("Meshcat", "without", _meshcat),
         ("Graphviz", "without", _graphviz),
     )
@@ -120,18 +119,45 @@ def _controllers() -> str:
     return ", ".join(names) + ", or module:attribute"
 
 
-def _plugins() -> str:
-    groups = {
-        "commands": COMMANDS,
-        "files": EXPORTERS,
-        "live": LIVE,
-        "laws": CONTROLLER_FILES,
-        "engines": ENGINES,
-    }
-    for group in groups.values():
-        for name in offered(group):
-            load(group, name, name)
-    return "; ".join(f"{kind}: {', '.join(offered(group))}" for kind, group in groups.items())
+def _plugin(plugin: Plugin) -> str:
+    brought = [
+        f"{group.replace('_', ' ')}: {_loaded(group, names)}"
+        for group, names in plugin.brings.items()
+    ]
+    found = "; ".join((plugin.about, *brought))
+    extras = ",".join(extra for extra in plugin.extras if _lacks(extra))
+    if extras:
+        raise FfsmError(f"{found}; for all of it: pip install 'ffsm-drake[{extras}]'")
+    return found
+
+
+def _loaded(group: str, names: Iterable[str]) -> str:
+    """The names of objects, each of which is imported."""
+    for name in names:
+        Registry[Any](group).load(name, name)
+    return ", ".join(names)
+
+
+def _lacks(extra: str) -> bool:
+    """Whether a library of an extra of the installation is missing."""
+    for requirement in requires("ffsm-drake") or ():
+        library, _, of = requirement.partition("; extra == ")
+        try:
+            if of.strip("'") == extra:
+                version(re.split("[^-.\\w]", library)[0])
+        except PackageNotFoundError:
+            return True
+    return False
+
+
+def _other_plugins() -> str:
+    found = []
+    for group in sorted(entry_points().groups):
+        kind = group.removeprefix("ffsm_drake.")
+        others = [name for name, each in offered(kind).items() if not plugin_of(each.module)]
+        if others and kind != group:
+            found.append(f"{kind.replace('_', ' ')}: {_loaded(kind, others)}")
+    return "; ".join(found) or "none"
 
 
 def _meshcat() -> str:

@@ -1,1 +1,0 @@
-"""Forces in orbit: gravity gradient, tide and solar pressure."""

@@ -1,1 +1,0 @@
-"""Kalman and coupled estimators for time-delay laws, and filters of the commanded force."""

@@ -1,1 +1,0 @@
-"""Export of runs as CSV, MAT, MCAP, CCSDS or Parquet; live Foxglove."""

@@ -42,12 +42,12 @@ def export(file: Path, scenario: str, overrides: tuple[str, ...], **options: Any
       ffsm export run.mat out/postcapture
     """
     from ffsm_drake.common.errors import FfsmError
-    from ffsm_drake.common.plugins import SCENARIO_EXPORTERS, offered
+    from ffsm_drake.plugins.exports.export import SCENARIO_EXPORTERS
     from ffsm_drake.plugins.exports.export import export as write
     from ffsm_drake.scenario import load_scenario
 
     given: Any = scenario
-    if file.suffix[1:] in offered(SCENARIO_EXPORTERS):
+    if file.suffix[1:] in SCENARIO_EXPORTERS.offers():
         with located_errors(scenario, overrides):
             given = load_scenario(scenario, overrides)
     elif overrides:

@@ -1,17 +1,33 @@
 """Runs and scenarios as files for other programs, by the file's ending."""
 
 import inspect
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.files import check_writable, written_whole
-from ffsm_drake.common.plugins import EXPORTERS, SCENARIO_EXPORTERS, load, offered
+from ffsm_drake.common.registrations import Registry
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario, load_scenario
 
 Source = RunRecord | Scenario | str | Path
+
+
+class RunExporter(Protocol):
+    """Writes the series of a run into a file."""
+
+    def __call__(self, record: RunRecord, path: Path, **options: Any) -> None: ...
+
+
+class ScenarioExporter(Protocol):
+    """Writes what a scenario describes into a file; returns lines for the user."""
+
+    def __call__(self, scenario: Scenario, path: Path, **options: Any) -> list[str]: ...
+
+
+# By the ending of the file, without its dot.
+EXPORTERS = Registry[RunExporter]("exporters")
+SCENARIO_EXPORTERS = Registry[ScenarioExporter]("scenario_exporters")
 
 
 def export(path: str | Path, source: Source, **options: Any) -> list[str]:
@@ -35,27 +51,25 @@ def export(path: str | Path, source: Source, **options: Any) -> list[str]:
       'law.c, law.h: the law tde_aismc in C99, double precision'
     """
     path, ending = Path(path), Path(path).suffix[1:]
-    group = next((group for group in _GROUPS if ending in offered(group)), None)
-    if group is None:
-        known = ", ".join(f".{name}" for group in _GROUPS for name in offered(group))
-        raise FfsmError(f"'{path}' must end in {known}")
-    write = load(group, ending, f"'{path}'")
+    of_scenario = ending in SCENARIO_EXPORTERS.offers()
+    exporters: Registry[Any] = SCENARIO_EXPORTERS if of_scenario else EXPORTERS
+    if ending not in exporters.offers():
+        known = (*EXPORTERS.offers(), *SCENARIO_EXPORTERS.offers())
+        raise FfsmError(f"'{path}' must end in {', '.join(f'.{name}' for name in known)}")
+    write = exporters.load(ending, f"'{path}'")
     given = {name: value for name, value in options.items() if value not in (None, False)}
     known_options = inspect.signature(write).parameters
     for name in given:
         if name not in known_options:
             raise FfsmError(f"--{name.replace('_', '-')}: not for a .{ending}")
     check_writable(path.parent)
-    if group == SCENARIO_EXPORTERS:
+    if of_scenario:
         lines: list[str] = write(_scenario_of(source), path, **given)
         return lines
     record = source if isinstance(source, RunRecord) else _record_of(source)
     with written_whole(path) as temporary:
         write(record, temporary, **given)
     return [str(path)]
-
-
-_GROUPS: Sequence[str] = (EXPORTERS, SCENARIO_EXPORTERS)
 
 
 def _scenario_of(source: Source) -> Scenario:

@@ -1,1 +1,0 @@
-"""Faults of sensors and actuators, and their detection."""

@@ -1,1 +1,0 @@
-"""The control law of a scenario as C code for a flight computer; law and plant as FMUs."""

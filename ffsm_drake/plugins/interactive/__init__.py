@@ -1,1 +1,0 @@
-"""Live runs and an operator's panel in the browser."""

@@ -1,1 +1,0 @@
-"""A first scenario from your URDF (``ffsm new``)."""

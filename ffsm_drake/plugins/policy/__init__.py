@@ -1,1 +1,0 @@
-"""A trained policy in an ONNX file as a control law."""

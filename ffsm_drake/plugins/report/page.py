@@ -9,7 +9,7 @@ from typing import Any
 
 from ffsm_drake.common.errors import RecordError
 from ffsm_drake.common.files import write_text
-from ffsm_drake.common.plugins import SERVICES, optional
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.report.comparison import rankings, table, table_notes
 from ffsm_drake.plugins.report.part_panels import part_sections, part_tables, part_text, part_views
@@ -129,7 +129,7 @@ def render_report(
     given = {
         name: section
         for name in _FROM_PLUGINS
-        if (make := optional(SERVICES, f"report_{name}")) is not None
+        if (make := SERVICES.find(f"report_{name}")) is not None
         and (section := make(results)) is not None
     }
     views = run_views(results)
@@ -217,7 +217,7 @@ def _remarks(result: Result, folder: Path) -> Json:
     broken, _ = attempt("limits", result, broken_limits, record.scenario, record.dataset)
     lines: list[str | None] = [part.sentence for part in record.parts]
     lines += attempt("warnings", result, run_remarks, record)[0] or ()
-    advice, remedy = optional(SERVICES, "advice"), optional(SERVICES, "remedy")
+    advice, remedy = SERVICES.find("advice"), SERVICES.find("remedy")
     helps = advice and attempt("advice", result, advice, record)[0]
     if helps:
         lines += helps

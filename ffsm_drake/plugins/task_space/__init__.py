@@ -1,1 +1,0 @@
-"""Laws and motions for the pose of a frame, and motions with undriven coordinates."""

@@ -1,1 +1,0 @@
-"""Two arms that hold one target: the closed chain, laws in it, and its internal force."""

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.common.plugins import service
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.two_arms.contact import CLOSING, LOSS
 from ffsm_drake.plugins.two_arms.flow import GAP, WRENCHES
@@ -36,14 +36,14 @@ class LaterHandsRollout(PhasedRollout):
     @staticmethod
     def show(scenario: Scenario) -> Show:
         """As that of a capture."""
-        found: Show = service("capture_rollout", "capture").show(scenario)
+        found: Show = SERVICES.load("capture_rollout", "capture").show(scenario)
         return found
 
     def mission(self, scenario: Scenario) -> Mission:
         """The phases of a capture or of a stack at rest, and one from each closing to the next."""
         mission, times = Mission(kinds={"": Stop()}), closing_times(scenario)[1:]
         if scenario.grasps:
-            mission = service("capture_rollout", "capture").mission(self, scenario)
+            mission = SERVICES.load("capture_rollout", "capture").mission(self, scenario)
         ends = [round((scenario.grasp_time + time) / scenario.sample_time) for time in times]
         kinds = {
             name: dataclasses.replace(kind, until=ends[0], then=f"hand {times[0]:g}")

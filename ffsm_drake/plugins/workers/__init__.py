@@ -1,1 +1,0 @@
-"""Processes for many runs: on this machine, or on a Dask cluster."""

@@ -8,7 +8,7 @@ from pydrake.geometry import Meshcat, Rgba
 from pydrake.math import RigidTransform
 
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.common.plugins import service
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.meshcat.arrows import ForceArrows
 from ffsm_drake.show.meshcat.drift import START_LEGEND, draw_drift, draw_frame_path
@@ -56,7 +56,7 @@ class ReplayView:
         self.magnified = ""  # legend of deflections drawn larger
         self.deflections: Any = None  # view of flexible parts, if any
         if hidden := self.spacecraft.split.names:
-            self.deflections = service("flexible_view", ", ".join(hidden))(
+            self.deflections = SERVICES.load("flexible_view", ", ".join(hidden))(
                 dataset, record.scenario.model, self.spacecraft.plant, self.spacecraft.split
             )
             self.magnified = self.deflections.legend

@@ -6,7 +6,7 @@ from typing import Any
 from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
-from ffsm_drake.common.plugins import service
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.scenario import CommandFilter, Scenario
 from ffsm_drake.scenario.contacts import closing_contacts
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -88,7 +88,7 @@ def make_controller(
     setup = controller_setup(scenario, nominal)
     _check_other_gains(scenario, setup.coordinates)
     if closing_contacts(scenario, nominal.grip) and scenario.chain.law != "plain":
-        in_chain = service("closed_chain_law", "chain.law")
+        in_chain = SERVICES.load("closed_chain_law", "chain.law")
         made = in_chain(setup, lambda own: _make(own, factory))
     else:
         made = _make(setup, factory)
@@ -98,7 +98,7 @@ def make_controller(
     is_law = hasattr(made, "initial_state") and hasattr(made, "step")
     law, filters = made, scenario.command_filter
     if filters != CommandFilter():
-        filtered = service("command_filter", "command_filter")
+        filtered = SERVICES.load("command_filter", "command_filter")
         law = filtered(made, filters, setup.coordinates, sample_time=setup.sample_time)
     if is_law:
         return SampledController(

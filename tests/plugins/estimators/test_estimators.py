@@ -11,7 +11,7 @@ from refusals import assert_refused
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario, make_nominal_plant
-from ffsm_drake.common.plugins import SERVICES, offered
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.estimators.coupled import CoupledEstimator
 from ffsm_drake.plugins.estimators.filter_gains import (
@@ -155,7 +155,7 @@ def test_gain_is_that_of_the_filter_for_any_sensors(step):
 
 def test_every_kind_that_a_scenario_can_name_is_there():
     offers = {f"estimator_{kind}" for kind in ESTIMATOR_KINDS if kind != "one_sample"}
-    assert offers == {name for name in offered(SERVICES) if name.startswith("estimator_")}
+    assert offers == {name for name in SERVICES.offers() if name.startswith("estimator_")}
 
 
 def test_a_more_trusted_sensor_and_a_faster_walk_weigh_more():

@@ -11,7 +11,7 @@ from covering import is_refused
 from missions import FACTORS, PLAIN, REFUSED, overrides_of, spacecraft_of
 
 from ffsm_drake import FfsmError, RunRecord, load_scenario, override_scenario, simulate
-from ffsm_drake.common.plugins import EXPORTERS, load, offered
+from ffsm_drake.plugins.exports.export import EXPORTERS
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.scenario import shipped_scenarios
 from ffsm_drake.show.results import results_of
@@ -80,9 +80,9 @@ def check(record, folder):
     assert results_table([found]) == results_table([record])
     assert repr(results_data([found])) == repr(results_data([record]))
     results_of([found])
-    for end in offered(EXPORTERS):
+    for end in EXPORTERS.offers():
         if end in ("csv", "mat"):
-            load(EXPORTERS, end, end)(found, folder / f"run.{end}")
+            EXPORTERS.load(end, end)(found, folder / f"run.{end}")
     return given
 
 

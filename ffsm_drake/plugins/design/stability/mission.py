@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from typing import Literal
 
-from ffsm_drake.common.plugins import service
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.stability.adaptation import adapts, reached_gains
 from ffsm_drake.plugins.design.stability.linear_loop import (
@@ -162,7 +162,7 @@ def chain_growth(linearizer: Linearizer) -> str:
     if not is_chain or linearizer.law is None or not loop.unit_poles:
         return ""
     end = linearizer.motion.evaluate(linearizer.end)[0]
-    return service("closed_chain_growth", "contacts")(
+    return SERVICES.load("closed_chain_growth", "contacts")(
         linearizer.scenario, linearizer.law, end, grip, loop.unit_poles
     )
 

@@ -4,9 +4,9 @@ import pytest
 from entry_points import installed
 
 from ffsm_drake import BlockError, FfsmError
-from ffsm_drake.common.plugins import load, offered
+from ffsm_drake.common.registrations import Registry
 
-GROUP = "ffsm_drake.things"
+THINGS = Registry("things")
 
 
 @pytest.fixture
@@ -18,21 +18,24 @@ def things(tmp_path, monkeypatch):
     }
     names = {name: f"{name}:THING" for name in ("good_thing", "bad_thing", "needy_thing")}
     yield from installed(
-        tmp_path, monkeypatch, modules, {GROUP: {**names, "gone_thing": "gone_thing:THING"}}
+        tmp_path,
+        monkeypatch,
+        modules,
+        {"ffsm_drake.things": {**names, "gone_thing": "gone_thing:THING"}},
     )
 
 
 @pytest.mark.smoke
 @pytest.mark.usefixtures("things")
 def test_an_offered_object_is_loaded():
-    assert list(offered(GROUP)) == ["bad_thing", "gone_thing", "good_thing", "needy_thing"]
-    assert load(GROUP, "good_thing", "here") == 3
+    assert list(THINGS.offers()) == ["bad_thing", "gone_thing", "good_thing", "needy_thing"]
+    assert THINGS.load("good_thing", "here") == 3
 
 
 @pytest.mark.usefixtures("things")
 def test_what_nobody_offers_is_named():
     with pytest.raises(FfsmError, match=r"^here: no installed plug-in offers 'god_thing' .*'good_"):
-        load(GROUP, "god_thing", "here")
+        THINGS.load("god_thing", "here")
 
 
 @pytest.mark.parametrize(
@@ -46,4 +49,4 @@ def test_what_nobody_offers_is_named():
 @pytest.mark.usefixtures("things")
 def test_what_cannot_be_loaded_says_why(name, said):
     with pytest.raises(BlockError, match=f"^here: plug-in {name}:THING cannot be loaded: {said}$"):
-        load(GROUP, name, "here")
+        THINGS.load(name, "here")

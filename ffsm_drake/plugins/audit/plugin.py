@@ -1,0 +1,10 @@
+from ffsm_drake.common.registrations import Plugin
+
+PLUGIN = Plugin(
+    about="Audits of logs from other simulators: do they obey the equations of motion?",
+    page="audit",
+    extras=("mcap", "ros2"),
+    brings={
+        "commands": {"audit": "audit.command:audit"},
+    },
+)

@@ -1,0 +1,12 @@
+from ffsm_drake.common.registrations import Plugin
+
+PLUGIN = Plugin(
+    about="Whole simulations in machine code: sensing, law, limits, plant, integrator, traced once",
+    page="many_runs",
+    extras=("compiled",),
+    needs=("equations", "tape"),
+    brings={
+        "engines": {"compiled": "compiled.engine:Compiled"},
+        "services": {"traced_sample": "compiled.sample:traced_sample"},
+    },
+)

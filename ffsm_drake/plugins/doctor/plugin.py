@@ -1,0 +1,8 @@
+from ffsm_drake.common.registrations import Plugin
+
+PLUGIN = Plugin(
+    about="A check of the installation",
+    brings={
+        "commands": {"doctor": "doctor.command:doctor"},
+    },
+)

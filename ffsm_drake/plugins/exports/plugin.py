@@ -1,0 +1,20 @@
+from ffsm_drake.common.registrations import Plugin
+
+PLUGIN = Plugin(
+    about="Export of runs as CSV, MAT, MCAP, CCSDS or Parquet; live Foxglove",
+    page="interfaces",
+    extras=("mcap", "parquet", "ros2"),
+    brings={
+        "commands": {"export": "exports.command:export"},
+        "verbs": {"export": "exports.export:export"},
+        "exporters": {
+            "aem": "exports.ccsds:write_aem",
+            "csv": "exports.tables:write_csv",
+            "mat": "exports.tables:write_mat",
+            "mcap": "exports.mcap:write",
+            "oem": "exports.ccsds:write_oem",
+            "parquet": "exports.tables:write_parquet",
+        },
+        "live": {"foxglove": "exports.foxglove_live:watch"},
+    },
+)

@@ -1,0 +1,14 @@
+from ffsm_drake.common.registrations import Plugin
+
+PLUGIN = Plugin(
+    about="Faults of sensors and actuators, and their detection",
+    page="faults",
+    needs=("actuators", "estimators"),
+    brings={
+        "sections": {
+            "forces.jam": "faults.jam:JammedJoints",
+            "sensing.detection": "faults.detection:FaultDetection",
+            "sensing.faults": "faults.sensors:FaultySensors",
+        },
+    },
+)

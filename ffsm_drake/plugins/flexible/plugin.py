@@ -1,0 +1,13 @@
+from ffsm_drake.common.registrations import Plugin
+
+PLUGIN = Plugin(
+    about="Flexible parts of the spacecraft: panels, beams, slosh, passive joints and gears",
+    page="flexible",
+    brings={
+        "sections": {"flexible": "flexible.deflections:Deflections"},
+        "services": {
+            "flexible": "flexible",
+            "flexible_view": "flexible.meshcat:Deflections",
+        },
+    },
+)

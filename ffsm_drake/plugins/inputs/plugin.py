@@ -1,0 +1,12 @@
+from ffsm_drake.common.registrations import Plugin
+
+PLUGIN = Plugin(
+    about="Copies of the models, plans, policies and modules of a run in its folder, to repeat it",
+    page="repeat_a_run",
+    brings={
+        "services": {
+            "changed_inputs": "inputs.keeping:changed_inputs",
+            "keep_inputs": "inputs.keeping:keep_inputs",
+        },
+    },
+)

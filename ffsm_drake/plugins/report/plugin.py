@@ -1,0 +1,9 @@
+from ffsm_drake.common.registrations import Plugin
+
+PLUGIN = Plugin(
+    about="The report of one or several runs, as one HTML page to open from disk or to send",
+    page="quickstart",
+    brings={
+        "services": {"report": "report:write_report"},
+    },
+)
