@@ -6,14 +6,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ffsm_drake.plugins.compiled import marching
 from ffsm_drake.plugins.compiled.blocks import COUNTS, Blocks
 from ffsm_drake.plugins.compiled.code import of_lanes
-from ffsm_drake.plugins.compiled.loop import Made, TracedLoop
+from ffsm_drake.plugins.compiled.forces import Forces
+from ffsm_drake.plugins.compiled.instant import Instant, Made
 from ffsm_drake.plugins.compiled.registers import Registers
+from ffsm_drake.plugins.compiled.sampling import Sampling
 from ffsm_drake.plugins.compiled.schemes import SCHEMES
 from ffsm_drake.plugins.tape.arrays import inputs
 from ffsm_drake.plugins.tape.numbers import NotTraceable, Tape, number
 from ffsm_drake.plugins.tape.tangents import tangents
+
+Traceable = Callable[[Instant], Made]
 
 _NOISE = ("noise", "drift_noise")  # of a row, the only numbers with a derivative
 
@@ -45,30 +50,31 @@ def functions(
     }
 
 
-def functions_of(
-    blocks: Blocks, *, steps: int, begins: bool
-) -> dict[str, Callable[[TracedLoop], Made]]:
+def functions_of(blocks: Blocks, *, steps: int, begins: bool) -> dict[str, Traceable]:
     """Return what is traced, by name. Arguments: see ``functions``."""
     scheme = SCHEMES[blocks.scheme]
-    made: dict[str, Callable[[TracedLoop], Made]] = {
-        "instants": functools.partial(TracedLoop.instants, times=scheme.times),
-        "derivative": TracedLoop.derivative,
-        "carried": TracedLoop.carried,
+    made: dict[str, Traceable] = {
+        "instants": functools.partial(marching.instants, times=scheme.times),
+        "derivative": lambda at: Forces(at).derivative(),
+        "carried": marching.carried,
     }
     if blocks.called:
-        made |= {"sensed": TracedLoop.sensed, "acted": TracedLoop.acted}
+        made |= {
+            "sensed": lambda at: Sampling(at).sensed(),
+            "acted": lambda at: Sampling(at).acted(),
+        }
     else:
-        made["sample"] = functools.partial(TracedLoop.sample, is_first=False)
+        made["sample"] = lambda at: Sampling(at).sample(is_first=False)
         if begins:
-            made["first"] = functools.partial(TracedLoop.sample, is_first=True)
+            made["first"] = lambda at: Sampling(at).sample(is_first=True)
     if begins:
-        made["judged"] = TracedLoop.judged
+        made["judged"] = marching.judged
     if blocks.per_sample > 1:
-        made["touching"] = TracedLoop.touching
+        made["touching"] = lambda at: Forces(at).touching()
     *points, last = scheme.points
     for i, weights in enumerate(points):
-        made[f"point{i}"] = functools.partial(TracedLoop.point, weights=weights)
-    end = functools.partial(TracedLoop.arrived, weights=last, steps=steps)
+        made[f"point{i}"] = functools.partial(marching.point, weights=weights)
+    end = functools.partial(marching.arrived, weights=last, steps=steps)
     made[f"point{len(points)}"] = end
     return made
 
@@ -82,7 +88,7 @@ class Traced(NamedTuple):
     sizes: dict[str, int]  # of all cells
 
 
-def traced_function(blocks: Blocks, made: Callable[[TracedLoop], Made]) -> Traced:
+def traced_function(blocks: Blocks, made: Traceable) -> Traced:
     """Trace a function of cells. Raises NotTraceable, or what the law raises on symbols."""
     changing = blocks.states | blocks.results
     sizes = blocks.parameters | changing | blocks.row | COUNTS
@@ -91,7 +97,7 @@ def traced_function(blocks: Blocks, made: Callable[[TracedLoop], Made]) -> Trace
     cells = _Cells(tape, sizes)
     results = {
         each: [number(one) for one in np.asarray(values, dtype=object).ravel()]
-        for each, values in made(TracedLoop(blocks, cells)).items()
+        for each, values in made(Instant(blocks, cells)).items()
     }
     for each, values in results.items():
         if len(values) != sizes[each]:
@@ -119,7 +125,7 @@ def _function(
     blocks: Blocks,
     registers: Registers,
     name: str,
-    made: Callable[["TracedLoop"], Made],
+    made: Traceable,
     *,
     slopes: bool,
 ) -> Function:

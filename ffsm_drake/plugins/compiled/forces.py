@@ -1,0 +1,157 @@
+"""The forces on the plant on symbols: at a sample, and at an instant of the integrator."""
+
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ffsm_drake.loop.blocks import BESIDES
+from ffsm_drake.plugins.compiled.blocks import at_start
+from ffsm_drake.plugins.compiled.instant import Instant, Made
+from ffsm_drake.plugins.compiled.stepping import joined, parted, read, zeros
+from ffsm_drake.plugins.equations import equations
+from ffsm_drake.plugins.tape.arrays import traced
+from ffsm_drake.plugins.tape.numbers import NotTraceable
+from ffsm_drake.systems.disturbance import force_at
+from ffsm_drake.systems.sampled import NEXT, Now
+
+# Outputs of forces, and the entries of the plant's v that they are along.
+_OF_FORCES = {"generalized_force": "forced", "hidden_force": "loose"}
+
+
+class Forces:
+    """The forces of a loop at an instant."""
+
+    def __init__(self, at: Instant) -> None:
+        self._at, self._of, self._cells = at, at.blocks, at.cells
+
+    def derivative(self) -> Made:
+        """The rates of the plant's state, and of the flows'."""
+        cells, of, state = self._cells, self._of, self._at.alive(self._cells.state)
+        q, v = np.split(state[: self._at.num_plant], [of.tree.num_positions])
+        time, held = cells.t[0], {name: getattr(cells, name) for name in of.held}
+        force, rates = self._others(state, time, **held)
+        for each in self._last(state, time, force):
+            force[list(of.forced)] = force[list(of.forced)] + each["generalized_force"]
+        return {"rates": [*equations.derivative(of.tree, q, v, force, cells.own), *joined(rates)]}
+
+    def touching(self) -> Made:
+        """What becomes of forces that step several times, at an instant at which they step."""
+        signals, touches, made = self._at.states(self._at.x), self._touches, list[Any]()
+        for placed, block in self._at.sampled("forces"):
+            if placed.cell != "touched":
+                continue
+            if block.per_sample:
+                outputs = self._at.step(placed, block, signals, Now(self._cells.t0[0]))
+            else:
+                outputs = touches[placed.name]
+                self._at.keep(placed)
+            made += [outputs[port] for port in self._of.touches[placed.name]]
+        return self._at.unless_lost({"touch": joined(made), "touched": self._at.kept("touched")})
+
+    def at_sample(self, now: Now, measured: dict[str, Any]) -> dict[str, Any]:
+        """The forces of a sample: those of this instant and those that are held. What they show is
+        noted among the signals.
+        """
+        of, cells = self._of, self._cells
+        each = [traced(force_at(now.time, cells.sines.reshape(4, -1)))]
+        held = traced(np.zeros(of.nv + len(of.loose)))
+        on_hidden = traced(np.zeros(len(of.loose)))
+        signals, touches = self._at.states(self._at.x), self._touches
+        for placed, block in self._at.sampled("forces"):
+            if (found := touches.get(placed.name, {})) == {}:
+                found = self._at.step(placed, block, signals, now)
+                if unknown := {name.removeprefix(NEXT) for name in found} - _OF_FORCES.keys():
+                    raise NotTraceable(f"{type(block).__name__} with an output {min(unknown)}")
+                held = self._along(held, found)
+            each.append(_at_instant(found, "generalized_force"))
+            if "hidden_force" in found:
+                on_hidden = on_hidden + _at_instant(found, "hidden_force")
+        if of.parts["last"]:
+            before, _ = parted(cells.held_before, zeros(of.held))
+            others = self._others(self._at.x, now.time, **before)[0]
+            for outputs in self._last(self._at.x, now.time, others):
+                each.append(outputs["generalized_force"])
+                measured |= {name: outputs[name] for name in of.shown_last if name in outputs}
+        return {
+            "shown_last": joined(measured[name] for name in of.shown_last),
+            "corrected_after": joined(self._corrections()),
+            "disturbance_force": functools.reduce(np.add, each),
+            "each_force": joined(each if of.external else ()),
+            "push": held if of.has_slow else traced([]),
+            "hidden_push": on_hidden if of.pushes_hidden else traced([]),
+        }
+
+    def _along(self, force: Any, outputs: Mapping[str, Any]) -> Any:
+        """A force on the plant with the outputs of another one."""
+        for name in _OF_FORCES.keys() & outputs.keys():
+            entries = list(getattr(self._of, _OF_FORCES[name]))
+            force[entries] = force[entries] + outputs[name]
+        return force
+
+    @functools.cached_property
+    def _touches(self) -> dict[str, dict[str, Any]]:
+        """The held outputs of forces that do not step once."""
+        found = dict[str, dict[str, Any]]()
+        if self._of.touches:
+            values = self._cells.touch
+            for name, outputs in self._of.touches.items():
+                found[name], values = parted(values, outputs)
+        return found
+
+    def flow(self, x: Any, held: Mapping[str, Any]) -> tuple[list[Any], dict[str, Any]]:
+        """The rates of the flows' states at an instant, and their outputs.
+
+        Args: the plant's state and theirs; held outputs of actuators, none at a sample.
+        """
+        rates, found = list[Any](), dict[str, Any]()
+        signals, values = self._at.states(x) | {**held}, x[self._at.num_plant :]
+        for name, flow in self._of.parts["flows"].items():
+            own, values = parted(values, at_start(flow))
+            given = read(flow, zeros(flow.inputs) | signals)
+            outputs, changes = self._at.parts["flows"][name].flow(given, own)
+            found |= {name: traced(value) for name, value in outputs.items()}
+            rates += [traced(changes[name]) for name in own]
+        return rates, found
+
+    def _others(
+        self, x: Any, time: Any, *, applied_force: Any, push: Any, acted: Any
+    ) -> tuple[Any, list[Any]]:
+        """All forces on the plant but the last ones, at an instant, and the rates of the flows."""
+        parts, _ = parted(acted, zeros(self._of.acted))
+        rates, flown = self.flow(x, parts)
+        disturbance = force_at(time, self._cells.sines.reshape(4, -1))
+        force = traced(np.zeros(self._of.tree.num_velocities))
+        force[list(self._of.forced)] = applied_force + disturbance
+        if self._of.has_slow:
+            force = force + push
+        for outputs in self._touches.values():
+            force = self._along(force, outputs)
+        for name in filter(flown.__contains__, BESIDES):
+            force = self._along(force, {"generalized_force": flown[name]})
+        return force, rates
+
+    def _last(self, x: Any, time: Any, others: Any) -> list[dict[str, Any]]:
+        """Outputs of the last forces."""
+        if not self._of.parts["last"]:
+            return []
+        force = others[list(self._of.forced)]
+        signals = self._at.states(x) | {"other_force": force, "time": traced([time])}
+        corrections, _ = parted(self._cells.corrected, zeros(self._of.corrects))
+        found = list[dict[str, Any]]()
+        for name, block in self._at.parts["last"].items():
+            inputs = signals | {"correction": corrections.get(name)}
+            outputs, _ = block.flow(read(block, inputs), {})
+            found.append({each: traced(values) for each, values in outputs.items()})
+        return found
+
+    def _corrections(self) -> list[Any]:
+        """What the last forces correct from a sample on."""
+        signals = self._at.states(self._at.x)
+        return [self._at.parts["last"][name].correct(signals) for name in self._of.corrects]
+
+
+def _at_instant(outputs: Mapping[str, Any], name: str) -> Any:
+    """A force at a sample, for the record."""
+    return outputs.get(NEXT + name, outputs[name])
