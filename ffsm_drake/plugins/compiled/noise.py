@@ -91,29 +91,18 @@ def _entries(*places: int) -> str:
 def _text() -> str:
     """The functions in LLVM's language.
 
-    The words of a twister stand before the next ones, so that each of these follows from three at
-    fixed distances. Sixteen words, of which four pairs are made, are computed at a time.
+    The words of a twister stand before the next ones.
     """
-    word = functools.partial(_all, "i32", 16)
-    real = functools.partial(_all, "double", 8)
-    # an accepted pair stays, the next one overwrites another
-    kept = "".join(
-        f"""
-  %point{i} = getelementptr <2 x double>, ptr %points, i64 %found{i}
-  %yx{i} = shufflevector <8 x double> %xy, <8 x double> poison, {_entries(2 * i + 1, 2 * i)}
-  store <2 x double> %yx{i}, ptr %point{i}, align 8
-  %place{i} = getelementptr double, ptr %squares, i64 %found{i}
-  %one{i} = extractelement <4 x double> %square, i64 {i}
-  store double %one{i}, ptr %place{i}, align 8
-  %is{i} = extractelement <4 x i1> %accepted, i64 {i}
-  %more{i} = zext i1 %is{i} to i64
-  %found{i + 1} = add i64 %found{i}, %more{i}"""
-        for i in range(4)
-    )
+    functions = _begin(), _twist(), _accept(), _raw(), _normal()
     return f"""declare double @log(double)
 declare double @llvm.sqrt.f64(double)
 declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)
-define internal void @begin(ptr %words, i64 %seed) {{
+{"".join(functions)}"""
+
+
+def _begin() -> str:
+    """The function that fills the words of a twister from a seed."""
+    return f"""define internal void @begin(ptr %words, i64 %seed) {{
 entry:
   %first = trunc i64 %seed to i32
   store i32 %first, ptr %words, align 4
@@ -134,7 +123,16 @@ fill:
 end:
   ret void
 }}
-define internal void @twist(ptr noalias %words, ptr noalias %out) {{
+"""
+
+
+def _twist() -> str:
+    """The function that computes the next words of a twister, and the numbers that it draws.
+
+    Each word follows from three at fixed distances. Sixteen are computed at a time.
+    """
+    word = functools.partial(_all, "i32", 16)
+    return f"""define internal void @twist(ptr noalias %words, ptr noalias %out) {{
 entry:
   br label %some
 some:
@@ -176,7 +174,28 @@ end:
   call void @llvm.memcpy.p0.p0.i64(ptr %words, ptr %news, i64 {4 * _WORDS}, i1 false)
   ret void
 }}
-define internal i64 @accept(ptr noalias %raw, ptr noalias %points, ptr noalias %squares) {{
+"""
+
+
+def _accept() -> str:
+    """The function that keeps the accepted pairs of numbers, four at a time, and counts them."""
+    real = functools.partial(_all, "double", 8)
+    # an accepted pair stays, the next one overwrites another
+    kept = "".join(
+        f"""
+  %point{i} = getelementptr <2 x double>, ptr %points, i64 %found{i}
+  %yx{i} = shufflevector <8 x double> %xy, <8 x double> poison, {_entries(2 * i + 1, 2 * i)}
+  store <2 x double> %yx{i}, ptr %point{i}, align 8
+  %place{i} = getelementptr double, ptr %squares, i64 %found{i}
+  %one{i} = extractelement <4 x double> %square, i64 {i}
+  store double %one{i}, ptr %place{i}, align 8
+  %is{i} = extractelement <4 x i1> %accepted, i64 {i}
+  %more{i} = zext i1 %is{i} to i64
+  %found{i + 1} = add i64 %found{i}, %more{i}"""
+        for i in range(4)
+    )
+    arguments = "ptr noalias %raw, ptr noalias %points, ptr noalias %squares"
+    return f"""define internal i64 @accept({arguments}) {{
 entry:
   br label %some
 some:
@@ -203,7 +222,12 @@ some:
 end:
   ret i64 %found4
 }}
-define void @raw(ptr noalias %out, i64 %seed, i64 %count) {{
+"""
+
+
+def _raw() -> str:
+    """The function that writes what a twister draws, in blocks."""
+    return f"""define void @raw(ptr noalias %out, i64 %seed, i64 %count) {{
 entry:
   %words = alloca [{2 * _WORDS} x i32], align 64
   call void @begin(ptr %words, i64 %seed)
@@ -218,7 +242,12 @@ block:
 end:
   ret void
 }}
-define void @normal(ptr noalias %out, i64 %seed, i64 %count) {{
+"""
+
+
+def _normal() -> str:
+    """The function that writes normal numbers, by the polar method, in blocks."""
+    return f"""define void @normal(ptr noalias %out, i64 %seed, i64 %count) {{
 entry:
   %words = alloca [{2 * _WORDS} x i32], align 64
   %raw = alloca [{_WORDS} x i32], align 64

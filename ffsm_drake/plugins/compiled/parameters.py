@@ -56,7 +56,7 @@ def parameters_of(law: Any, place: str = "the law") -> Parameters:
         planned.append(math.prod(table.shape[1:]))
         return table
 
-    _replaced(law, place, note, constants.append, lambda model, own: model, shape)
+    _replaced(law, place, _Replacement(note, constants.append, lambda model, own: model, shape))
     return Parameters(np.concatenate(rows), tuple(constants), sum(planned))
 
 
@@ -71,7 +71,7 @@ def rows_of(law: Any, q_d: np.ndarray) -> np.ndarray:
         return getattr(part, name)
 
     ignored = lambda *values: values[0]  # noqa: E731
-    _replaced(law, "the law", ignored, ignored, ignored, note)
+    _replaced(law, "the law", _Replacement(ignored, ignored, ignored, note))
     return rows[0] if len(rows) == 1 else np.hstack([np.zeros((len(q_d), 0)), *rows])
 
 
@@ -95,7 +95,7 @@ def with_symbols(
     def row(part: Any, name: str) -> Any:
         return take("planned", planned, (1, *getattr(part, name).shape[1:]))
 
-    return _replaced(law, "the law", number, lambda constant: None, model, row)
+    return _replaced(law, "the law", _Replacement(number, lambda constant: None, model, row))
 
 
 @functools.lru_cache(maxsize=64)
@@ -104,48 +104,52 @@ def reader_of(plant: MultibodyPlant) -> Reader:
     return Reader(plant)
 
 
-def _replaced(
-    value: Any,
-    place: str,
-    number: Callable[[np.ndarray], Any],
-    constant: Callable[[Any], None],
-    model: Callable[[PlantModel, Any], Any],
-    row: Callable[[Any, str], Any],
-) -> Any:
-    """An object with other numbers, models and tables by sample; ``constant`` gets all else."""
+class _Replacement(NamedTuple):
+    """What stands in place of the parts of an object."""
+
+    number: Callable[[np.ndarray], Any]  # of an array or a number
+    constant: Callable[[Any], None]  # gets all else, which stays
+    model: Callable[[PlantModel, Any], Any]  # of a model, given its masses
+    row: Callable[[Any, str], Any]  # of a table by sample, given its owner and name
+
+
+def _replaced(value: Any, place: str, new: _Replacement) -> Any:
+    """An object with other numbers, models and tables by sample."""
     if type(value) in (PlantModel, ReducedModel):
         reader = reader_of(value.plant)
-        constant((type(value).__name__, value.coordinates.undriven, reader.tree))
-        return model(value, number(reader.parameters(value.context)))
+        new.constant((type(value).__name__, value.coordinates.undriven, reader.tree))
+        return new.model(value, new.number(reader.parameters(value.context)))
     if isinstance(value, Frame):
         placed = reader_of(value.GetParentPlant()).place_of(value)
-        constant(placed)
+        new.constant(placed)
         return placed
     if hasattr(type(value), "constants"):
-        constant((type(value).__name__, value.constants))
+        new.constant((type(value).__name__, value.constants))
         return value
     if isinstance(value, np.ndarray) and value.dtype == float:
-        return number(value)
+        return new.number(value)
     if isinstance(value, np.ndarray) and value.dtype.kind in "iub":
-        constant((value.shape, value.dtype.str, value.tobytes()))
+        new.constant((value.shape, value.dtype.str, value.tobytes()))
         return value
     if isinstance(value, _CONSTANTS):
-        constant((type(value).__name__, repr(value)))
+        new.constant((type(value).__name__, repr(value)))
         return value
     if isinstance(value, MappingProxyType):  # which does not change
-        constant(tuple(value))
-        return {
-            key: _replaced(each, f"{place}.{key}", number, constant, model, row)
-            for key, each in value.items()
-        }
+        new.constant(tuple(value))
+        return {key: _replaced(each, f"{place}.{key}", new) for key, each in value.items()}
     if isinstance(value, tuple):
-        constant(len(value))
-        each = (_replaced(one, place, number, constant, model, row) for one in value)
+        new.constant(len(value))
+        each = (_replaced(one, place, new) for one in value)
         return type(value)._make(each) if hasattr(value, "_make") else tuple(each)
     if not dataclasses.is_dataclass(value) or isinstance(value, type):
         raise NotCovered(f"{place}: {type(value).__name__}, no number, array or dataclass")
+    return _with_fields(value, place, new)
+
+
+def _with_fields(value: Any, place: str, new: _Replacement) -> Any:
+    """A dataclass with other fields."""
     kind, gains, made = type(value), gains_of(type(value)), dict[str, Any]()
-    constant(kind)  # not its name, which another class may get
+    new.constant(kind)  # not its name, which another class may get
     for field in dataclasses.fields(value):
         own = getattr(value, field.name)
         if not field.init:
@@ -153,12 +157,11 @@ def _replaced(
         if field.name in getattr(kind, "in_phase", ()):
             made[field.name] = own
         elif (field.name in gains or field.name == "sample_time") and isinstance(own, float):
-            made[field.name] = number(np.array(own))
+            made[field.name] = new.number(np.array(own))
         elif field.name in getattr(kind, "by_sample", ()):
-            made[field.name] = row(value, field.name)
+            made[field.name] = new.row(value, field.name)
         else:
-            inner = f"{place}, field {field.name}"
-            made[field.name] = _replaced(own, inner, number, constant, model, row)
+            made[field.name] = _replaced(own, f"{place}, field {field.name}", new)
     # not by the class, whose checks of values were made with the numbers
     other = object.__new__(kind)
     for name, each in made.items():

@@ -42,17 +42,7 @@ class TracedSample:
         """Args: the scenario, and one whose run is used if it differs in ``actuation.limit`` alone;
         what holds the target. Raises NotCovered.
         """
-        Compiled().check(scenario)
-        unlimited = dataclasses.replace(given.actuation, limit=scenario.actuation.limit)
-        is_alike = dataclasses.replace(given, actuation=unlimited) == scenario
-        own = given if is_alike else scenario
-        run = run_of(case_of(own, grip), own)
-        if run.blocks.called:
-            raise NotCovered(run.blocks.called)
-        if scenario.actuation.wheels is not None:
-            raise NotCovered("wheels")
-        if scenario.blocks.choices() or scenario.supervisor is not None or scenario.contacts:
-            raise NotCovered("blocks of a user, a supervisor, or contacts")
+        run = _covered(scenario, given, grip)
         self.motion = run.case.motion
         self._frame = make_frame_motion(scenario, run.case.nominal, self.motion)
         self.key, self.law, self.coordinates = run.key, run.law, run.coordinates
@@ -194,6 +184,22 @@ def traced_sample(scenario: Scenario, given: Scenario, grip: Grip) -> TracedSamp
         return TracedSample(scenario, given, grip)
     except FfsmError:
         return None
+
+
+def _covered(scenario: Scenario, given: Scenario, grip: Grip) -> Run:
+    """The run whose sample it is. Arguments: see ``TracedSample``. Raises NotCovered."""
+    Compiled().check(scenario)
+    unlimited = dataclasses.replace(given.actuation, limit=scenario.actuation.limit)
+    is_alike = dataclasses.replace(given, actuation=unlimited) == scenario
+    own = given if is_alike else scenario
+    run = run_of(case_of(own, grip), own)
+    if run.blocks.called:
+        raise NotCovered(run.blocks.called)
+    if scenario.actuation.wheels is not None:
+        raise NotCovered("wheels")
+    if scenario.blocks.choices() or scenario.supervisor is not None or scenario.contacts:
+        raise NotCovered("blocks of a user, a supervisor, or contacts")
+    return run
 
 
 def _code(run: Run) -> _Codes:
