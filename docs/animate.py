@@ -24,7 +24,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from ffsm_drake import RunRecord, load_scenario, simulate
 from ffsm_drake.common.files import written_whole
-from ffsm_drake.show.meshcat.stage import camera_pose
+from ffsm_drake.plugins.meshcat.stage import camera_pose
 from ffsm_drake.spacecraft.plant import add_combined_plant
 from ffsm_drake.systems.setup import BlockSetup
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import ffsm_drake
 from ffsm_drake.common.errors import warnings_as_lines
-from ffsm_drake.show.block_diagram import closed_loop_dot, write_diagram
+from ffsm_drake.plugins.diagrams.block_diagram import closed_loop_dot, write_diagram
 from ffsm_drake.show.tables import results_table
 
 

@@ -11,7 +11,7 @@ children.preload(
     "ffsm_drake.cli", "ffsm_drake.show.outputs",
     "ffsm_drake.plugins.analysis", "ffsm_drake.plugins.analysis.figure",
     "ffsm_drake.show.figures.run",
-    "ffsm_drake.show.meshcat", "hypothesis", "pytest",
+    "ffsm_drake.plugins.meshcat.recording", "hypothesis", "pytest",
 )  # fmt: skip
 
 

@@ -12,7 +12,6 @@ from children import finished
 from entry_points import is_there, needs, uses
 
 from ffsm_drake import FfsmError, RunRecord
-from ffsm_drake.show.meshcat import start_meshcat, write_recording
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 OWN_TESTS = ("postcapture.py", "campaign.py")
@@ -22,6 +21,8 @@ DOCS = EXAMPLES.parent / "docs"
 
 
 @pytest.mark.long
+@needs("diagrams")
+@needs("meshcat")
 @pytest.mark.usefixtures("rough_pictures")
 def test_the_main_job(tmp_path, monkeypatch, capfd):
     """As a script, in this process: the longest of the examples loads nearly all there is."""
@@ -177,7 +178,8 @@ def test_the_other_examples(name, tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory, run):
     file = tmp_path_factory.mktemp("recording") / "recording.html"
-    write_recording(run("postcapture", "duration=1"), file)
+    page = pytest.importorskip("ffsm_drake.plugins.meshcat.recording")
+    page.write_recording(run("postcapture", "duration=1"), file)
     return file
 
 
@@ -209,4 +211,5 @@ def test_recording_shows_the_spacecraft_in_a_browser(recording, tmp_path):
 
 
 def test_meshcat_serves_this_machine_only():
-    assert start_meshcat().web_url().startswith("http://127.")
+    stage = pytest.importorskip("ffsm_drake.plugins.meshcat.stage")
+    assert stage.start_meshcat().web_url().startswith("http://127.")

@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 import ffsm_drake
 from ffsm_drake import load_scenario
 from ffsm_drake.scenario import MassProperties
-from ffsm_drake.show.meshcat.stage import camera_pose
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import add_combined_plant, configuration
@@ -237,7 +236,8 @@ def test_camera_looks_at_the_middle_of_the_spacecraft_and_sees_all_of_it(name):
     scenario = load_scenario(name)
     builder = DiagramBuilder()
     plant = add_combined_plant(builder, scenario.model)
-    camera, center = camera_pose(
+    stage = pytest.importorskip("ffsm_drake.plugins.meshcat.stage")
+    camera, center = stage.camera_pose(
         plant, scenario, builder.GetSubsystemByName("scene_graph").model_inspector()
     )
     ahead = (center - camera) / np.linalg.norm(center - camera)

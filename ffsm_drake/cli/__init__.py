@@ -10,7 +10,7 @@ import click
 from ffsm_drake.cli.common import ExtensibleGroup
 from ffsm_drake.cli.run import compare, run
 from ffsm_drake.cli.setup import completion, scenarios, schema, validate
-from ffsm_drake.cli.show import diagram, plot, replay
+from ffsm_drake.cli.show import plot
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.threads import ONE_THREAD
 
@@ -47,6 +47,6 @@ def main() -> None:
 
 
 for command in (
-    compare, completion, diagram, plot, replay, run, scenarios, schema, validate
+    compare, completion, plot, run, scenarios, schema, validate
 ):  # fmt: skip
     main.add_command(command)

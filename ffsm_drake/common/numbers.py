@@ -58,6 +58,14 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun if number == 1 else many}"
 
 
+def magnification(ratio: float) -> int:
+    """Return the largest of 1, 2, 5, 10, ... 1000 whose product with a length ratio stays below
+    one.
+    """
+    allowed = [step for step in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if step * ratio <= 1.0]
+    return allowed[-1] if allowed and ratio > 0.0 else 1
+
+
 def usable(values: np.ndarray) -> np.ndarray:
     """Return the mask of the samples (n) of values (n, ...) that are below ``LARGEST`` in size
     throughout.

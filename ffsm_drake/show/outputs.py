@@ -23,7 +23,7 @@ def write_outputs(
     """Write the report, figures and recording of one run, or of several runs overlaid.
 
     The files are report.html, which needs the plug-in ``report``, figures in PNG, and
-    recording.html, which shows the first run.
+    recording.html, which shows the first run and needs the plug-in ``meshcat``.
 
     Args:
       records: the runs.
@@ -46,17 +46,20 @@ def write_outputs(
     """
     # Here, because they are slow to import and not always needed.
     from ffsm_drake.show.figures.run import save_figures
-    from ffsm_drake.show.meshcat import recording_html
 
     directory = Path(directory)
-    write_report, written = SERVICES.find("report"), list[Path]()
-    shown = recording_html(records[0], forces=True)
+    write_report, make_recording = SERVICES.find("report"), SERVICES.find("recording")
+    written, shown = list[Path](), None
+    if make_recording is None:
+        warnings.warn("no recording is made: no installed plug-in offers it", stacklevel=2)
+    else:
+        shown = make_recording(records[0], forces=True)
     if write_report is None:
         warnings.warn("no report is written: no installed plug-in offers it", stacklevel=2)
     else:
         file = directory / REPORT_FILE
         written.append(write_report(records, file, recording=shown, distances=distances))
-    if recording:
+    if recording and shown is not None:
         write_text(directory / RECORDING_FILE, shown)
         written.append(directory / RECORDING_FILE)
     return written + (save_figures(records, directory) if figures else [])

@@ -24,10 +24,9 @@ STEPS = {
     "runs.limits.broken_limits": "conclusion",
     "show.tables.results_table": "table",
     "show.outputs.write_outputs": "report",
-    "show.meshcat.recording_html": "report",
     "runs.record.compute_metrics": "metrics.json",
 }
-SERVICES = {"advice": "remarks", "remedy": "remedy", "report": "report"}
+SERVICES = {"advice": "remarks", "remedy": "remedy", "report": "report", "recording": "report"}
 
 
 @pytest.mark.slow

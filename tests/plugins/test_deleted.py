@@ -31,6 +31,7 @@ NEEDED = {
     "campaign": [["campaign", "status", "c.db"]],
     "capture": [["run", "tumbling_capture", "--no-report", "--out", "out"]],
     "design": [["stability"], ["design"]],
+    "diagrams": [["diagram"]],
     "doctor": [["doctor"]],
     "environment": [[*SHORT, "--set", "environment={}"]],
     "estimators": [
@@ -49,6 +50,7 @@ NEEDED = {
         [*SHORT, "--meshcat"],
         [*SHORT, "--controls"],
     ],
+    "meshcat": [["replay", "out"]],
     "new": [["new", "mine", "--urdf", "craft.urdf"]],
     "paper": [["reproduce", "table2"]],
     "planning": [["plan", "postcapture"], [*SHORT, "--controller", "tvlqr"]],

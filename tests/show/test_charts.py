@@ -34,6 +34,7 @@ def drawn_chart(rng):
     )  # fmt: skip
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("seed", range(6))
 def test_both_libraries_draw_the_same_chart(seed):
     chart = drawn_chart(np.random.default_rng(seed))

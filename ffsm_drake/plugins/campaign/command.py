@@ -239,6 +239,8 @@ def rerun(
     Example:
       ffsm campaign rerun payload_uncertainty --case 17 --controller aismc
     """
+    from ffsm_drake.common.files import write_text
+    from ffsm_drake.common.registrations import SERVICES
     from ffsm_drake.plugins.campaign.run import repeat_run
     from ffsm_drake.plugins.campaign.store import open_store
     from ffsm_drake.scenario import controller_key
@@ -267,9 +269,8 @@ def rerun(
                 place = folder / controller_key(name)
                 found.record.save(place)
                 if not no_recording:
-                    from ffsm_drake.show.meshcat import write_recording
-
-                    write_recording(found.record, place / "recording.html")
+                    recording_html = SERVICES.load("recording", "--no-recording")
+                    write_text(place / "recording.html", recording_html(found.record))
                 click.echo(f"  written to {place}")
     sys.exit(EXIT_GOOD if same else EXIT_UNSTABLE)
 

@@ -15,7 +15,14 @@ import click
 
 from ffsm_drake.cli.common import EXIT_BAD_INPUT, json_option, print_result
 from ffsm_drake.common.errors import FfsmError, one_line
-from ffsm_drake.common.registrations import Plugin, Registry, offered, own_plugins, plugin_of
+from ffsm_drake.common.registrations import (
+    SERVICES,
+    Plugin,
+    Registry,
+    offered,
+    own_plugins,
+    plugin_of,
+)
 
 
 @click.command()
@@ -161,10 +168,8 @@ def _other_plugins() -> str:
 
 
 def _meshcat() -> str:
-    from ffsm_drake.show.meshcat import quiet_drake, start_meshcat
-
-    with quiet_drake():
-        return f"serves {start_meshcat().web_url()}, to this machine only"
+    start_meshcat = SERVICES.load("meshcat_server", "Meshcat")
+    return f"serves {start_meshcat().web_url()}, to this machine only"
 
 
 def _graphviz() -> str:

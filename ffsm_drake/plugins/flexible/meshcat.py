@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
+from ffsm_drake.common.numbers import magnification
 from ffsm_drake.plugins.flexible.bodies import labels_of
 from ffsm_drake.scenario import Model
-from ffsm_drake.show.meshcat.arrows import magnification
 from ffsm_drake.spacecraft.coordinates import HIDDEN, StateSplit
 from ffsm_drake.spacecraft.plant import hand_frame
 

@@ -19,7 +19,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
 from ffsm_drake.common.door import HOST, BadFrame, Door, header
-from ffsm_drake.show.meshcat.stage import quiet_drake, start_meshcat
+from ffsm_drake.plugins.meshcat.stage import start_meshcat
 
 _PORTS = range(7000, 8000)
 _PATIENCE = 5.0  # s for Drake's server to answer
@@ -95,8 +95,7 @@ def live_server(meshcat: Meshcat | None) -> Iterator[tuple[Meshcat, str]]:
     if meshcat is not None:
         yield meshcat, meshcat.web_url()
         return
-    with quiet_drake():  # keeps the server's own address off the terminal
-        meshcat = start_meshcat()
+    meshcat = start_meshcat()
     door = MeshcatDoor(meshcat)
     print(f"Meshcat listening for connections at {door.url}", file=sys.stderr)
     try:

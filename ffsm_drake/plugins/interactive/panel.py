@@ -26,11 +26,11 @@ from ffsm_drake.common.numbers import counted
 from ffsm_drake.loop.operator import make_operated_disturbance
 from ffsm_drake.plugins.interactive.controls import CodeLock, Controls, label_text
 from ffsm_drake.plugins.interactive.door import keep_for_ever, live_server
+from ffsm_drake.plugins.meshcat.arrows import Arrow
+from ffsm_drake.plugins.meshcat.stage import SpacecraftView, set_stage
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.show.meshcat.arrows import Arrow
-from ffsm_drake.show.meshcat.stage import SpacecraftView, set_stage
 from ffsm_drake.spacecraft.plant import configuration, find_body
 from ffsm_drake.systems.controllers import complete_gains, controller_names
 from ffsm_drake.systems.setup import BlockSetup

@@ -10,6 +10,7 @@ import pandas as pd  # type: ignore[import-untyped]
 from matplotlib.figure import Figure
 
 from ffsm_drake.common.numbers import rounded_up
+from ffsm_drake.plugins.diagrams.block_diagram import closed_loop_dot, write_diagram
 from ffsm_drake.plugins.paper.runs import (
     CONTROLLERS,
     DISTURBANCES,
@@ -22,7 +23,6 @@ from ffsm_drake.plugins.paper.table import METRICS
 from ffsm_drake.plugins.paper.wording import DISTURBANCE_NAMES, NAMES, ending, fixed
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import load_scenario
-from ffsm_drake.show.block_diagram import closed_loop_dot, write_diagram
 from ffsm_drake.show.chart import Chart, Curve, Level
 from ffsm_drake.show.figures.axes import plot_charts, save_figure
 from ffsm_drake.show.figures.run import plot_efforts, plot_errors, plot_trajectories

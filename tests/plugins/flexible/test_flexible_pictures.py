@@ -8,12 +8,13 @@ from pydrake.math import RotationMatrix
 
 from ffsm_drake import simulate
 from ffsm_drake.common.numbers import NONE, number
+from ffsm_drake.plugins.diagrams.block_diagram import closed_loop_dot
 from ffsm_drake.plugins.flexible.meshcat import Deflections
+from ffsm_drake.plugins.meshcat.recording import recording_html
+from ffsm_drake.plugins.meshcat.replay_view import ReplayView
+from ffsm_drake.plugins.meshcat.stage import start_meshcat
 from ffsm_drake.plugins.report.comparison import table
 from ffsm_drake.plugins.report.part_panels import part_sections, part_views
-from ffsm_drake.show.block_diagram import closed_loop_dot
-from ffsm_drake.show.meshcat import recording_html, start_meshcat
-from ffsm_drake.show.meshcat.replay_view import ReplayView
 from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.nominal import make_flexible_plant

@@ -26,7 +26,7 @@ from ffsm_drake.common.door import BadFrame
 from ffsm_drake.plugins.interactive.controls import CODE, UNLOCK
 from ffsm_drake.plugins.interactive.door import live_server, page_event
 from ffsm_drake.plugins.interactive.panel import PAUSE, QUIT, start_button
-from ffsm_drake.show.meshcat.stage import set_stage
+from ffsm_drake.plugins.meshcat.stage import set_stage
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text()
@@ -254,7 +254,7 @@ ABANDONED = """
 import gc, threading
 from pydrake.geometry import Meshcat
 from ffsm_drake import load_scenario
-from ffsm_drake.show.meshcat.stage import SpacecraftView, start_meshcat
+from ffsm_drake.plugins.meshcat.stage import SpacecraftView, start_meshcat
 
 class Cycle:
     def __init__(self, held):

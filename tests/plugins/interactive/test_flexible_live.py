@@ -3,7 +3,7 @@
 import pytest
 
 from ffsm_drake.plugins.interactive.panel import watch
-from ffsm_drake.show.meshcat import start_meshcat
+from ffsm_drake.plugins.meshcat.stage import start_meshcat
 
 PORT = "model.flexible.port={position: [0, 1, 0], frequency: 1}"
 

@@ -36,7 +36,7 @@ from ffsm_drake.plugins.interactive.panel import (
     start_button,
     watch,
 )
-from ffsm_drake.show.meshcat import start_meshcat
+from ffsm_drake.plugins.meshcat.stage import start_meshcat
 from ffsm_drake.spacecraft.plant import find_body
 
 PERIOD = 0.01

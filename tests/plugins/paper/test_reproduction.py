@@ -15,6 +15,7 @@ from browser import needs_chromium, pictured
 from html_page import Page
 
 from ffsm_drake import FfsmError, ScenarioError, load_scenario, simulate
+from ffsm_drake.plugins.diagrams import block_diagram
 from ffsm_drake.plugins.paper import (
     PARTS,
     accuracy,
@@ -32,7 +33,6 @@ from ffsm_drake.plugins.paper import (
 from ffsm_drake.plugins.paper.claims import CLAIMS, by_topic, counts, evaluate
 from ffsm_drake.plugins.paper.runs import CONTROLLERS, DISTURBANCES, PROPOSED, SETTINGS
 from ffsm_drake.runs.log import Outcome
-from ffsm_drake.show import block_diagram
 
 pytestmark = pytest.mark.slow  # every run of the paper, if shortened
 DOCS = Path(__file__).parents[3] / "docs"

@@ -12,8 +12,8 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.plugins.meshcat.recording import recording_html
 from ffsm_drake.plugins.report.page import render_report
-from ffsm_drake.show.meshcat import recording_html
 
 campaign_tools = pytest.importorskip("campaign_tools")
 run_here, write_spec = campaign_tools.run_here, campaign_tools.write_spec

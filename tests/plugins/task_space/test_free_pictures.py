@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from ffsm_drake.common.numbers import NONE, number
+from ffsm_drake.plugins.meshcat.recording import recording_html
+from ffsm_drake.plugins.meshcat.replay_view import ReplayView
+from ffsm_drake.plugins.meshcat.stage import start_meshcat
 from ffsm_drake.plugins.report.comparison import table
 from ffsm_drake.plugins.report.time_panels import run_views
-from ffsm_drake.show.meshcat import recording_html, start_meshcat
-from ffsm_drake.show.meshcat.replay_view import ReplayView
 from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 

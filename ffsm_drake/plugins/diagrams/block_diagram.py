@@ -1,6 +1,6 @@
 """Graphviz diagrams of the wiring.
 
-``python -m ffsm_drake.show.block_diagram`` writes those in ``diagrams/``.
+``python -m ffsm_drake.plugins.diagrams.block_diagram`` writes those in ``diagrams/``.
 """
 
 import re
@@ -15,9 +15,9 @@ from pydrake.systems.framework import DiagramBuilder, System
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.files import write_text, written_whole
+from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.loop.closed_loop import add_closed_loop, build_closed_loop, make_closed_loop
 from ffsm_drake.scenario import Scenario, load_scenario
-from ffsm_drake.show.meshcat import quiet_drake, start_meshcat
 from ffsm_drake.spacecraft.plant import add_combined_plant
 
 NO_GRAPHVIZ = (
@@ -42,14 +42,14 @@ def closed_loop_dot(scenario: Scenario, *, logged: bool = False) -> str:
         diagram = builder.Build()
         diagram.set_name("closed_loop")
         return _without_idle_ports(_without_idle_holds(system_dot(diagram, max_depth=1)), "plant")
-    with quiet_drake():  # the server is needed for the wiring only
-        plant = add_combined_plant(builder, scenario.model, flexible=True)
-        loop = add_closed_loop(builder, scenario, plant=plant)
-        visualizer = MeshcatVisualizer.AddToBuilder(
-            builder, builder.GetSubsystemByName("scene_graph"), start_meshcat()
-        )
-        visualizer.set_name("meshcat_visualizer")
-        dot = system_dot(build_closed_loop(builder, loop).diagram, max_depth=1)
+    start_meshcat = SERVICES.load("meshcat_server", "--logged")  # for the wiring only
+    plant = add_combined_plant(builder, scenario.model, flexible=True)
+    loop = add_closed_loop(builder, scenario, plant=plant)
+    visualizer = MeshcatVisualizer.AddToBuilder(
+        builder, builder.GetSubsystemByName("scene_graph"), start_meshcat()
+    )
+    visualizer.set_name("meshcat_visualizer")
+    dot = system_dot(build_closed_loop(builder, loop).diagram, max_depth=1)
     for name in ("plant", "meshcat_visualizer"):
         dot = _without_idle_ports(dot, name)
     return dot

@@ -7,9 +7,9 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.geometry import Meshcat, Rgba
 from pydrake.math import RigidTransform
 
+from ffsm_drake.plugins.meshcat.solids import draw_over
+from ffsm_drake.plugins.meshcat.stage import SpacecraftView, base_bounding_box
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.show.meshcat.solids import draw_over
-from ffsm_drake.show.meshcat.stage import SpacecraftView, base_bounding_box
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
 from ffsm_drake.systems.frame_path import goal_frame
 

@@ -9,9 +9,9 @@ from pydrake.geometry import Cylinder, Meshcat, MeshcatCone, Rgba, SceneGraphIns
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 
-from ffsm_drake.common.numbers import number
-from ffsm_drake.show.meshcat.solids import draw_over
-from ffsm_drake.show.meshcat.stage import base_bounding_box
+from ffsm_drake.common.numbers import magnification, number
+from ffsm_drake.plugins.meshcat.solids import draw_over
+from ffsm_drake.plugins.meshcat.stage import base_bounding_box
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -205,11 +205,3 @@ def _finite_rows(vectors: np.ndarray) -> np.ndarray:
     """
     with np.errstate(over="ignore", invalid="ignore"):
         return np.where(np.isfinite(np.linalg.norm(vectors, axis=1, keepdims=True)), vectors, 0.0)
-
-
-def magnification(ratio: float) -> int:
-    """Return the largest of 1, 2, 5, 10, ... 1000 whose product with a length ratio stays below
-    one.
-    """
-    allowed = [step for step in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if step * ratio <= 1.0]
-    return allowed[-1] if allowed and ratio > 0.0 else 1

@@ -7,10 +7,10 @@ from typing import Any
 
 from ffsm_drake.common.files import write_text
 from ffsm_drake.common.steps import step
+from ffsm_drake.plugins.meshcat.arrows import ARROW_KINDS, legend
+from ffsm_drake.plugins.meshcat.replay_view import FRAMES_PER_SECOND, ReplayView, check_speed
+from ffsm_drake.plugins.meshcat.stage import start_meshcat
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.show.meshcat.arrows import ARROW_KINDS, legend
-from ffsm_drake.show.meshcat.replay_view import FRAMES_PER_SECOND, ReplayView, check_speed
-from ffsm_drake.show.meshcat.stage import quiet_drake, start_meshcat
 
 # Covers the empty scene until the motion is in; before the scripts, to show while they load.
 _LOADING = """<style>
@@ -120,8 +120,7 @@ def recording_html(
     check_speed(speed)
     # Slow motion has no more frames than the record has samples; the page interpolates.
     frames_per_second = min(FRAMES_PER_SECOND, speed / record.scenario.sample_time)
-    with quiet_drake():  # the server only makes the page; its address is of no use
-        meshcat = start_meshcat()
+    meshcat = start_meshcat()
     view = ReplayView(
         meshcat,
         record,

@@ -30,8 +30,8 @@ from pydrake.systems.framework import Context, DiagramBuilder
 
 from ffsm_drake.common.door import random_loopback
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.plugins.meshcat.solids import draw_over, draw_solids, solids_of
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.show.meshcat.solids import draw_over, draw_solids, solids_of
 from ffsm_drake.spacecraft.boxes import box_around, box_corners
 from ffsm_drake.spacecraft.plant import (
     add_combined_plant,
@@ -110,7 +110,7 @@ def start_meshcat() -> Meshcat:
         else:
             params.host = "127.0.0.1"
         params.port = 10_000 + secrets.randbelow(50_000)
-        with suppress(RuntimeError):
+        with suppress(RuntimeError), quiet_drake():  # keeps the address off the terminal
             meshcat = Meshcat(params)
             _STARTED.keep(meshcat)
             return meshcat

@@ -9,11 +9,11 @@ from pydrake.math import RigidTransform
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.registrations import SERVICES
+from ffsm_drake.plugins.meshcat.arrows import ForceArrows
+from ffsm_drake.plugins.meshcat.drift import START_LEGEND, draw_drift, draw_frame_path
+from ffsm_drake.plugins.meshcat.solids import SwitchedSolids
+from ffsm_drake.plugins.meshcat.stage import SpacecraftView, set_stage
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.show.meshcat.arrows import ForceArrows
-from ffsm_drake.show.meshcat.drift import START_LEGEND, draw_drift, draw_frame_path
-from ffsm_drake.show.meshcat.solids import SwitchedSolids
-from ffsm_drake.show.meshcat.stage import SpacecraftView, set_stage
 
 FRAMES_PER_SECOND = 25.0
 _PATH_COLOR = Rgba(1.0, 0.62, 0.1, 1.0)

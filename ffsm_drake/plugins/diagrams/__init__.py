@@ -1,0 +1,1 @@
+"""Block diagrams of the closed loop, as Graphviz text and pictures."""

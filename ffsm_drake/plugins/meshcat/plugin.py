@@ -1,0 +1,14 @@
+from ffsm_drake.common.registrations import Plugin
+
+PLUGIN = Plugin(
+    about="The spacecraft in Meshcat: a page that plays back a run, and the stage of live views",
+    page="meshcat",
+    uses=("flexible",),
+    brings={
+        "commands": {"replay": "meshcat.command:replay"},
+        "services": {
+            "meshcat_server": "meshcat.stage:start_meshcat",
+            "recording": "meshcat.recording:recording_html",
+        },
+    },
+)
