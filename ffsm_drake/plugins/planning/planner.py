@@ -14,9 +14,10 @@ from ffsm_drake.common.errors import FfsmError, ScenarioError
 from ffsm_drake.common.numbers import short
 from ffsm_drake.common.so3 import rotation_error
 from ffsm_drake.common.steps import step
+from ffsm_drake.plugins.planning.curve import INSTANTS
 from ffsm_drake.plugins.planning.inverse_dynamics import FreeDynamics, InverseDynamics
 from ffsm_drake.plugins.planning.limits import Margin, MotionLimits, margins, motion_limits
-from ffsm_drake.plugins.planning.program import INSTANTS, PlanningProgram
+from ffsm_drake.plugins.planning.program import PlanningProgram
 from ffsm_drake.plugins.task_space.free_motion import FreeMotion
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.clearance import Clearance
@@ -234,7 +235,7 @@ class _Planner:
             first = self._rate[self._model.coordinates.driven] * duration
             last = start + 0.5 * first if goal is None else goal
             ends = [start, first, 0.0 * first], [last, 0.0 * first, 0.0 * first]
-            guess = problem.guess(BPoly.from_derivatives([0.0, 1.0], ends), duration)
+            guess = problem.curve.guess(BPoly.from_derivatives([0.0, 1.0], ends), duration)
             worst = problem.worst(guess)
             if worst < least:
                 best, least, taken = guess, worst, duration
@@ -242,7 +243,7 @@ class _Planner:
                 break
         self._progress(f"first guess: fifth-order polynomial of {taken:.2f} s")
         turned = np.arange(start.size) < 3
-        return best + problem.guess(
+        return best + problem.curve.guess(
             lambda share: angle * np.sin(np.pi * share[:, None]) ** 2 * turned, 0.0
         )
 

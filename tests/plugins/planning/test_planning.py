@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from ffsm_drake import ScenarioError, load_scenario, simulate
 from ffsm_drake.plugins.design.remarks import plan_clearance, plan_remarks
+from ffsm_drake.plugins.planning.curve import spline_basis
 from ffsm_drake.plugins.planning.limits import Margin
 from ffsm_drake.plugins.planning.planner import PlanningError, plan_motion
-from ffsm_drake.plugins.planning.program import spline_basis
 from ffsm_drake.runs.limits import saturation
 from ffsm_drake.runs.simulate import LimitWarning, prepare
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
