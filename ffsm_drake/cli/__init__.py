@@ -8,7 +8,8 @@ from pathlib import Path
 import click
 
 from ffsm_drake.cli.common import ExtensibleGroup
-from ffsm_drake.cli.run import compare, run
+from ffsm_drake.cli.compare import compare
+from ffsm_drake.cli.run import run
 from ffsm_drake.cli.setup import completion, scenarios, schema, validate
 from ffsm_drake.cli.show import plot
 from ffsm_drake.common.errors import FfsmError
