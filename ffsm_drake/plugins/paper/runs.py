@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -201,44 +201,32 @@ def keeps_record(case: Case) -> bool:
 
 def table_cases(num_seeds: int) -> list[Case]:
     """The runs of Table 2 in all settings."""
-    return _distinct(
-        Case(setting=setting, controller=controller, disturbance=disturbance, seed=seed)
-        for setting, disturbance, controller, seed in product(
-            SETTINGS, DISTURBANCES, CONTROLLERS, range(num_seeds)
-        )
-    )
+    return _cases(STUDY["runs"][:1], range(num_seeds))
 
 
 def figure_cases(settings: Iterable[str], controllers: Iterable[str]) -> list[Case]:
     """The runs in a figure of these controllers."""
-    return _distinct(
-        Case(setting=setting, controller=name) for setting, name in product(settings, controllers)
-    )
-
-
-def claim_cases(num_seeds: int) -> list[Case]:
-    """The runs for single claims, in addition to Table 2."""
-    cases = [
-        Case(setting=setting, controller=name, variant=variant)
-        for claim in STUDY["claims"]
-        for setting, name, variant in product(
-            claim["settings"], claim["controllers"], claim["variants"]
-        )
-    ]
-    without_g = product(SETTINGS, range(num_seeds))
-    cases += [
-        Case(setting=setting, controller=PROPOSED, seed=seed, variant="G = 0")
-        for setting, seed in without_g
-    ]
-    return _distinct(cases)
+    return _cases([{"settings": settings, "controllers": controllers}])
 
 
 def all_cases(num_seeds: int) -> list[Case]:
     """All cases that the page shows or evaluates."""
-    return _distinct([*table_cases(num_seeds), *claim_cases(num_seeds)])
+    return _cases(STUDY["runs"], range(num_seeds))
 
 
-def _distinct(cases: Iterable[Case]) -> list[Case]:
+def _cases(groups: Iterable[Mapping[str, Any]], seeds: Sequence[int] = (0,)) -> list[Case]:
+    """The distinct runs of groups; each group has every combination of its values."""
+    cases = [
+        Case(setting=setting, controller=name, disturbance=disturbance, seed=seed, variant=variant)
+        for group in groups
+        for setting, disturbance, name, seed, variant in product(
+            group["settings"],
+            group.get("disturbances", ("tau_d1",)),
+            group["controllers"],
+            seeds if group.get("every_seed") else (0,),
+            group.get("variants", ("",)),
+        )
+    ]
     return list(dict.fromkeys(case.canonical for case in cases))
 
 
