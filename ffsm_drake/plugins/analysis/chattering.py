@@ -31,10 +31,9 @@ def effort_spectrum(effort: np.ndarray, period: float) -> tuple[np.ndarray, np.n
     Welch's method with half-overlapping Hann windows, each with its linear trend (the planned
     motion) removed.
     """
-    found: tuple[np.ndarray, np.ndarray] = signal.welch(
+    return signal.welch(
         effort, 1.0 / period, nperseg=min(SEGMENT, len(effort)), detrend=signal.detrend, axis=0
     )
-    return found
 
 
 def split_variance(

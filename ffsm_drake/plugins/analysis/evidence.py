@@ -117,8 +117,7 @@ class Evidence:
         return bool(self.after_start_up[:-1].any())
 
     def values(self, name: str) -> np.ndarray:
-        values: np.ndarray = self.data[name].values
-        return values
+        return self.data[name].values
 
     def add(self, **series: np.ndarray) -> None:
         """Add series, by their names in ``SERIES``."""

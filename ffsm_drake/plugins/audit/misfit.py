@@ -102,15 +102,13 @@ def since_start(parts: Array) -> Array:
 
 def means(values: Array) -> Array:
     """Means over each period (n - 1, k) by the trapezoidal rule."""
-    found: Array = 0.5 * (values[1:] + values[:-1])
-    return found
+    return 0.5 * (values[1:] + values[:-1])
 
 
 def slopes(time: Array, rate: Array) -> Array:
     """Correction (n - 1, k) of the trapezoidal rule over each period for a smooth rate (n, k)."""
     slope = np.gradient(rate, time, axis=0, edge_order=2)
-    found: Array = -(np.diff(time)[:, None] ** 2) / 12.0 * np.diff(slope, axis=0)
-    return found
+    return -(np.diff(time)[:, None] ** 2) / 12.0 * np.diff(slope, axis=0)
 
 
 def areas(time: Array, rate: Array) -> Array:
@@ -271,8 +269,7 @@ class Motion:
     @property
     def lag(self) -> Array:
         """Residual (n - 1, k) if the rates are those of one period later."""
-        found: Array = np.diff(self.time)[:, None] * np.diff(self.rate, axis=0)
-        return found
+        return np.diff(self.time)[:, None] * np.diff(self.rate, axis=0)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -304,10 +301,9 @@ class Followed:
         parts, missed = self.parts, np.linalg.norm(self.beyond, axis=1)
         most = np.maximum(*(np.linalg.norm(x, axis=1) for x in (parts.moved, self.expected)))
         usual = np.linalg.norm(np.abs(parts.lag) + 3.0 * np.abs(parts.slope), axis=1)
-        found: Array = missed > np.maximum(
+        return missed > np.maximum(
             10.0 * np.quantile(missed, TRIMMED), np.maximum(0.3 * most, usual)
         )
-        return found
 
     @property
     def jumped(self) -> float:

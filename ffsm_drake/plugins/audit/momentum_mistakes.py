@@ -197,8 +197,7 @@ def _of_columns(found: Residual) -> Iterator[tuple[str, str, Log]]:
 
 def _integral(time: Array, rate: Array) -> Array:
     """Integral (n, k) of a smooth rate (n, k) since the start."""
-    found: Array = CubicSpline(time, rate).antiderivative()(time)
-    return found
+    return CubicSpline(time, rate).antiderivative()(time)
 
 
 def _joints(log: Log, order: list[int], factor: float | Array) -> Log:
@@ -223,8 +222,7 @@ def of_integrator(found: Residual) -> Iterator[Mistake]:
             first, last = getattr(here, what), getattr(there, what)
             if is_body and what == "angular":
                 first, last = (x.attitude.inv().apply(x.angular) for x in (here, there))
-            found: Array = 0.5 * (first + last) + step * (last - first) / period[near][:, None]
-            return found
+            return 0.5 * (first + last) + step * (last - first) / period[near][:, None]
 
         def moved(path: str, rate: str) -> Array:
             return after(path, 0.0) + step * after(rate, semi * step)

@@ -100,8 +100,7 @@ class Residual:
     def total(self, log: Log, *, bodies: Bodies | None = None) -> Array:
         """Total momentum (n, 6) of samples, divided by ``scale``."""
         momenta = (bodies or self.dynamics.bodies_of(log)).momenta(log)
-        found: Array = np.sum(momenta, axis=(0, 2)) / self.scale
-        return found
+        return np.sum(momenta, axis=(0, 2)) / self.scale
 
     @functools.cached_property
     def share(self) -> float:

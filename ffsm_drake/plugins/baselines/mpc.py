@@ -100,8 +100,7 @@ class Limits:
         """
         count = self.jets.shape[1]
         more, rest = nnls(self.jets, -self.jets.sum(axis=1)) if count else (np.zeros(0), np.inf)
-        found: np.ndarray = 1.0 + more if rest < 1e-9 * np.abs(self.jets).sum() else np.zeros(0)
-        return found
+        return 1.0 + more if rest < 1e-9 * np.abs(self.jets).sum() else np.zeros(0)
 
     def jets_give(self, wrench: np.ndarray) -> bool:
         """Whether thrusters give wrenches (n, 6), by their least squares and ``idle``; True without
@@ -273,8 +272,7 @@ class Mpc(ControlLaw):
 
     def free(self, now: "_Now") -> np.ndarray:
         """[e'_k; u_k; e_k] (3, N + 1, nv) of the regulator alone."""
-        found: np.ndarray = (self.prediction[0] * now.x).sum(axis=-1)
-        return found
+        return (self.prediction[0] * now.x).sum(axis=-1)
 
     def resume(self, state: State, before: ControlLaw, reference: np.ndarray) -> State:
         """See ControlLaw; of the estimator as in ``TimeDelayControl``."""

@@ -16,5 +16,4 @@ def signed_power(x: np.ndarray, power: float, width: np.ndarray | float) -> np.n
 def slope(x: np.ndarray, power: float, width: np.ndarray | float) -> np.ndarray:
     """The derivative of ``signed_power`` with respect to x, (..., n)."""
     square = x * x + width * width
-    rate: np.ndarray = square ** (0.5 * (power - 3.0)) * (power * x * x + width * width)
-    return rate
+    return square ** (0.5 * (power - 3.0)) * (power * x * x + width * width)

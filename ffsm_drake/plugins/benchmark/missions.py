@@ -166,8 +166,7 @@ class Reproduced:
 @functools.cache
 def _listed() -> dict[str, Any]:
     text = (Path(__file__).parent / "missions.yaml").read_text(encoding="utf-8")
-    listed: dict[str, Any] = read_yaml(text)
-    return listed
+    return read_yaml(text)
 
 
 def mission_names() -> tuple[str, ...]:

@@ -230,8 +230,7 @@ def _filled(grid: np.ndarray) -> np.ndarray:
     if not known.any():
         return np.full_like(grid, np.nan)
     nearest = NearestNDInterpolator(np.argwhere(known), grid[known])
-    filled: np.ndarray = nearest(*np.indices(grid.shape))
-    return filled
+    return nearest(*np.indices(grid.shape))
 
 
 def _axis(values: np.ndarray, is_log: bool, size: int) -> np.ndarray:

@@ -64,8 +64,7 @@ def export(path: str | Path, source: Source, **options: Any) -> list[str]:
             raise FfsmError(f"--{name.replace('_', '-')}: not for a .{ending}")
     check_writable(path.parent)
     if of_scenario:
-        lines: list[str] = write(_scenario_of(source), path, **given)
-        return lines
+        return write(_scenario_of(source), path, **given)
     record = source if isinstance(source, RunRecord) else _record_of(source)
     with written_whole(path) as temporary:
         write(record, temporary, **given)

@@ -352,8 +352,7 @@ def _loosen(plant: MultibodyPlant, name: str, part: Flexible) -> RevoluteJoint:
             RevoluteJoint(label, parent, rotor.body_frame(), axis, lower, upper, damping)
         )
         parent = rotor.body_frame()
-    loose: RevoluteJoint = plant.AddJoint(RevoluteJoint(f"{HIDDEN}{name}", parent, child, axis))
-    return loose
+    return plant.AddJoint(RevoluteJoint(f"{HIDDEN}{name}", parent, child, axis))
 
 
 def _springs(plant: MultibodyPlant, kind: type = RevoluteSpring) -> list[Any]:

@@ -167,8 +167,7 @@ def first_at_rest(velocity: np.ndarray) -> int:
 
 def peak(deflection: np.ndarray) -> np.ndarray:
     """The largest of each (n, nh)."""
-    largest: np.ndarray = np.abs(deflection).max(axis=0)
-    return largest
+    return np.abs(deflection).max(axis=0)
 
 
 def amplitude(deflection: np.ndarray) -> np.ndarray:

@@ -61,8 +61,7 @@ class Deflections:
 
     def at(self, sample: int) -> np.ndarray:
         """The magnified hidden coordinates of a sample."""
-        shown: np.ndarray = self._shown[sample]
-        return shown
+        return self._shown[sample]
 
     @property
     def legend(self) -> str:

@@ -66,8 +66,7 @@ def _ended(times: pd.Series) -> str:
 
 def table_csv(rows: pd.DataFrame) -> str:
     """The table as comma-separated values, eight digits; empty if runs diverged."""
-    text: str = rows.to_csv(index=False, float_format="%.8g", lineterminator="\n")
-    return text
+    return rows.to_csv(index=False, float_format="%.8g", lineterminator="\n")
 
 
 def shown(metric: str, value: float) -> str:

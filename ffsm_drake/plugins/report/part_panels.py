@@ -102,8 +102,7 @@ def _curves(results: Sequence[Result], drawn: Sequence[tuple[int, Drawing]]) -> 
 
 def _component(result: Result, signal: str, name: str) -> np.ndarray:
     values = result.record.dataset[signal]
-    found: np.ndarray = (values if values.ndim == 1 else values.sel({values.dims[1]: name})).values
-    return found
+    return (values if values.ndim == 1 else values.sel({values.dims[1]: name})).values
 
 
 def _band(results: Sequence[Result], i: int, drawing: Drawing, name: str) -> list[Curve]:

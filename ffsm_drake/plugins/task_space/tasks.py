@@ -165,8 +165,7 @@ class TaskPoint:
         """
         sizes = self._directions[1]
         counts = sizes >= _ROUNDING * sizes[:1]
-        least: np.ndarray = np.where(counts, sizes, np.inf).min(keepdims=True)
-        return least
+        return np.where(counts, sizes, np.inf).min(keepdims=True)
 
     def served(self, z: np.ndarray, wanted: np.ndarray) -> np.ndarray:
         """z + [0; J+ (wanted - J* z)] (na): motion z corrected for the frame's motion (m)."""
