@@ -84,7 +84,7 @@ def absent_need(plugin: str) -> str:
     return next(filter(None, map(absent_need, known[plugin].needs)), "")
 
 
-@dataclass(frozen=True)
+@dataclass
 class Registry(Generic[Kind]):
     """The objects of one kind, by name: entry points ``ffsm_drake.GROUP``."""
 

@@ -16,11 +16,11 @@ import numpy as np
 from ffsm_drake.common.errors import FfsmError, RecordError, one_line, some
 from ffsm_drake.common.files import check_regular, read_together
 from ffsm_drake.common.numbers import LARGEST, usable
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.common.shapes import misfit
 from ffsm_drake.loop.blocks import BLOCKS
 from ffsm_drake.runs.ending import COMPLETED, NOT_CAPTURED, OUTCOMES, Outcome
 from ffsm_drake.runs.engine import DRAKE
+from ffsm_drake.runs.input_copies import INPUT_COPIES
 from ffsm_drake.runs.signals import SIGNALS
 from ffsm_drake.runs.table import coordinate_columns
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
@@ -149,8 +149,8 @@ def _read_manifest(path: Path) -> tuple[str | None, dict[str, Any]]:
 def _fields_of(manifest: dict[str, Any], path: Path) -> dict[str, Any]:
     """Return the fields of a record in its manifest. Raises the errors of wrong contents."""
     scenario = scenario_from_dict(scenario_of(manifest), source=str(path))
-    changed = SERVICES.find("changed_inputs") or (lambda directory, inputs: ())
-    for line in changed(path.parent, manifest.get("inputs")):
+    copies = INPUT_COPIES.first()
+    for line in copies.changed(path.parent, manifest.get("inputs")) if copies else ():
         warnings.warn(line, StaleReportWarning, stacklevel=6)
     blocks = _fitting(manifest["blocks"], dict[str, dict[str, str]], "blocks")
     sources = {

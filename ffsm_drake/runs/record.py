@@ -15,9 +15,9 @@ import numpy as np
 
 from ffsm_drake.common.errors import RecordError, one_line, spared
 from ffsm_drake.common.files import check_writable, published, stamp
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.runs.ending import NOT_SETTLED, Ending, Outcome, ending_of
 from ffsm_drake.runs.engine import DRAKE
+from ffsm_drake.runs.input_copies import INPUT_COPIES
 from ffsm_drake.runs.metrics import compute_metrics
 from ffsm_drake.runs.reading import (
     DATASET_FILE,
@@ -217,9 +217,10 @@ class RunRecord:
                     self.dataset.dump_to_store(store, encoding=encoding)
             except RuntimeError as error:  # the netCDF library's error for a full disk
                 raise OSError(one_line(error)) from error
-            if keep := SERVICES.find("keep_inputs"):
+            if copies := INPUT_COPIES.first():
                 with spared(INPUTS.name):
-                    manifest |= {"inputs": kept} if (kept := keep(self.scenario, folder)) else {}
+                    if kept := copies.keep(self.scenario, folder):
+                        manifest["inputs"] = kept
             identifier = digest_of(folder / DATASET_FILE)
             manifest[IDENTIFIER] = identifier
             manifest[SEAL] = seal_of(json.loads(to_json(manifest)))

@@ -1,15 +1,47 @@
 """Outputs of a finished run: report page, figures and recording."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Protocol
+
+from pydrake.geometry import Meshcat
 
 from ffsm_drake.common.files import write_text
-from ffsm_drake.common.registrations import SERVICES
+from ffsm_drake.common.registrations import Registry
 from ffsm_drake.runs.reading import REPORT_FILE
 from ffsm_drake.runs.record import RunRecord
 
 RECORDING_FILE = "recording.html"
+
+
+class Report(Protocol):
+    """Writes a page about some runs into a file; returns the file.
+
+    Args: the runs, the file, the text of a recording or None, and the distance of each run's
+    controller to the LQG limit or None. Raises RecordError: the file cannot be written.
+    """
+
+    def __call__(
+        self,
+        records: Sequence[RunRecord],
+        path: Path,
+        *,
+        recording: str | None,
+        distances: Sequence[float] | None,
+    ) -> Path: ...
+
+
+class Recording(Protocol):
+    """Returns a page that plays back a run, as text. Raises ModelError: its model has changed."""
+
+    def __call__(self, record: RunRecord, *, forces: bool = False) -> str: ...
+
+
+REPORTS = Registry[Report]("reports")
+RECORDINGS = Registry[Recording]("recordings")
+# Start a server of Meshcat for this machine only.
+MESHCAT_SERVERS = Registry[Callable[[], Meshcat]]("meshcat_servers")
 
 
 def write_outputs(
@@ -30,7 +62,7 @@ def write_outputs(
       directory: folder for the files.
       figures: True: write the figures.
       recording: True: write recording.html.
-      distances: distance of the controller of each run to the LQG limit (service ``lqg_limit``).
+      distances: distance of the controller of each run to the LQG limit.
 
     Returns: the files that were written.
 
@@ -48,7 +80,7 @@ def write_outputs(
     from ffsm_drake.show.figures.run import save_figures
 
     directory = Path(directory)
-    write_report, make_recording = SERVICES.find("report"), SERVICES.find("recording")
+    write_report, make_recording = REPORTS.first(), RECORDINGS.first()
     written, shown = list[Path](), None
     if make_recording is None:
         warnings.warn("no recording is made: no installed plug-in offers it", stacklevel=2)

@@ -25,10 +25,7 @@ _MOST_POINTS, _POINTS_PER_LINE = 800_000, (400, 4000)
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Section:
-    """A plug-in's section of the report: its text, and its views by name.
-
-    It comes from a service ``report_NAME``, a function of the results.
-    """
+    """A plug-in's section of the report: its text, and its views by name."""
 
     html: Markup
     views: Sequence[View] = ()

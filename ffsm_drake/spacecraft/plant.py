@@ -22,7 +22,6 @@ from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.errors import ModelError, choices, one_line
 from ffsm_drake.common.files import check_regular
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.common.so3 import rpy_of
 from ffsm_drake.scenario import Model, Posture, Scenario
 from ffsm_drake.spacecraft.coordinates import (
@@ -36,6 +35,7 @@ from ffsm_drake.spacecraft.coordinates import (
     StateSplit,
     joints_of,
 )
+from ffsm_drake.spacecraft.extensions import FLEXIBLE_PARTS, MODEL_FORMATS, FlexibleParts
 from ffsm_drake.spacecraft.model_files import (
     DRAWABLE,
     MAX_SIZE,
@@ -104,11 +104,11 @@ def add_combined_plant(
     return plant
 
 
-def flexible_parts() -> Any:
+def flexible_parts() -> FlexibleParts:
     """Return the plug-in that adds the parts of ``model.flexible``. Raises BlockError without
     it.
     """
-    return SERVICES.load("flexible", "model.flexible")
+    return FLEXIBLE_PARTS.only("model.flexible")
 
 
 def check_pictures(model: Model) -> None:
@@ -324,8 +324,8 @@ def _add_models(
         except (OSError, ValueError) as error:  # too long, no permission, a folder, ...
             raise ModelError(f"{place}: cannot be read: {one_line(error)}; {remedy}") from error
     files = files_of(file, place, packages)
-    if (trial := SERVICES.find("model_trial")) is not None:
-        trial(file, place, files, packages)
+    if (formats := MODEL_FORMATS.first()) is not None:
+        formats.check(file, place, files, packages)
     with mended(files) as copies:
         try:
             return _added(parser, file, packages, copies)

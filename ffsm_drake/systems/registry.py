@@ -85,13 +85,13 @@ def _has_actuators(scenario: Scenario) -> bool:
 # A policy found so far -> the folder that its file's name is relative to, and the file.
 _POLICIES: dict[str, tuple[Path, Path]] = {}
 # Block -> further factories that can fill it.
-FACTORIES: dict[str, Registry[Factory]] = {
-    "reference": Registry("reference"),
-    "sensing": Registry("sensing"),
-    "controller": Registry("controllers"),
-    "actuation": Registry("actuation"),
-    "forces": Registry("forces"),
-    "phases": Registry("phases"),
+FACTORIES = {
+    "reference": Registry[Factory]("reference"),
+    "sensing": Registry[Factory]("sensing"),
+    "controller": Registry[Factory]("controllers"),
+    "actuation": Registry[Factory]("actuation"),
+    "forces": Registry[Factory]("forces"),
+    "phases": Registry[Factory]("phases"),
 }
 # By the section of the scenario that a part describes.
 PARTS = Registry[type[Part]]("sections")

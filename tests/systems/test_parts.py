@@ -27,10 +27,10 @@ from ffsm_drake import (
 )
 from ffsm_drake.cli import main
 from ffsm_drake.common.numbers import NONE
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.runs.limits import limits_left
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.runs.rollout import Rollout, user_supplied
+from ffsm_drake.show.outputs import REPORTS
 from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.limits import Limit
@@ -224,7 +224,7 @@ def test_signals_that_are_computed_and_figures_that_are_no_numbers(tmp_path):
     record.save(tmp_path / "run")
     loaded = RunRecord.load(tmp_path / "run")
     assert loaded.figures == record.figures
-    page = SERVICES.load("report", "the test")([loaded], tmp_path / "report.html")
+    page = REPORTS.only("the test")([loaded], tmp_path / "report.html")
     assert page.stat().st_size > 0
 
 
@@ -408,7 +408,7 @@ def test_all_that_a_part_can_say_of_itself(tmp_path):
         "TDC, run 1, left",
         "TDC, run 1, right",
     ]
-    page = SERVICES.load("report", "the test")([loaded], tmp_path / "report.html").read_text()
+    page = REPORTS.only("the test")([loaded], tmp_path / "report.html").read_text()
     for text in (
         ">Motion &amp; heat<",
         "By heater",

@@ -11,6 +11,6 @@ PLUGIN = Plugin(
             "actuation.wheels": "actuators.wheels:ReactionWheels",
             "forces.plume": "actuators.plumes:Plumes",
         },
-        "services": {"acting_blocks": "actuators.row:acting_blocks"},
+        "acting_blocks": {"actuators": "actuators.row:acting_blocks"},
     },
 )

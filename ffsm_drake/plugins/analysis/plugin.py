@@ -6,6 +6,6 @@ PLUGIN = Plugin(
     brings={
         "commands": {"analyze": "analysis.command:analyze"},
         "verbs": {"analyze": "analysis:analyze"},
-        "services": {"report_findings": "analysis.page:findings_section"},
+        "report_sections": {"findings": "analysis.page:findings_section"},
     },
 )

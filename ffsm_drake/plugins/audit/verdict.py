@@ -16,7 +16,6 @@ from pydrake.multibody.plant import MultibodyPlant
 from ffsm_drake.common.errors import ModelError, RecordError
 from ffsm_drake.common.files import write_text
 from ffsm_drake.common.numbers import counted
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.plugins.audit.checks import Audit, Check, fault, undecided
 from ffsm_drake.plugins.audit.dynamics import Dynamics
 from ffsm_drake.plugins.audit.efforts import check_efforts
@@ -27,6 +26,7 @@ from ffsm_drake.plugins.audit.motions import turned
 from ffsm_drake.plugins.audit.rates import check_rates
 from ffsm_drake.plugins.audit.reading import MEANT, read_log
 from ffsm_drake.scenario import Model
+from ffsm_drake.spacecraft.extensions import MODEL_FORMATS
 from ffsm_drake.spacecraft.plant import base_body, make_plant
 
 TOLERANCE = 1e-3  # largest residual, as a share of the motion or of the exchanged momentum
@@ -72,7 +72,7 @@ def _plant(file: Path) -> MultibodyPlant:
         if file.suffix.lower() not in _DIRECT:
             given = Path(folder, f"{file.stem}.urdf")
             try:
-                write_text(given, SERVICES.load("model_as_urdf", "--urdf")(file))
+                write_text(given, MODEL_FORMATS.only("--urdf").as_urdf(file))
             except ModelError as error:
                 raise ModelError(f"{file}: {error}") from None
         try:

@@ -240,10 +240,10 @@ def rerun(
       ffsm campaign rerun payload_uncertainty --case 17 --controller aismc
     """
     from ffsm_drake.common.files import write_text
-    from ffsm_drake.common.registrations import SERVICES
     from ffsm_drake.plugins.campaign.run import repeat_run
     from ffsm_drake.plugins.campaign.store import open_store
     from ffsm_drake.scenario import controller_key
+    from ffsm_drake.show.outputs import RECORDINGS
 
     with open_store(_locate(source, database)) as store:
         if controller is not None and controller not in store.spec.controllers:
@@ -269,7 +269,7 @@ def rerun(
                 place = folder / controller_key(name)
                 found.record.save(place)
                 if not no_recording:
-                    recording_html = SERVICES.load("recording", "--no-recording")
+                    recording_html = RECORDINGS.only("--no-recording")
                     write_text(place / "recording.html", recording_html(found.record))
                 click.echo(f"  written to {place}")
     sys.exit(EXIT_GOOD if same else EXIT_UNSTABLE)

@@ -17,7 +17,7 @@ PLUGIN = Plugin(
             "momentum_budget": "capture.momentum:momentum_budget",
             "planned_approach": "capture.approach:planned_approach",
             "planned_contact": "capture.contact:planned_contact",
-            "report_grasp": "capture.page:grasp_section",
         },
+        "report_sections": {"grasp": "capture.page:grasp_section"},
     },
 )

@@ -5,8 +5,9 @@ PLUGIN = Plugin(
     page="many_runs",
     extras=("compiled",),
     needs=("equations", "tape"),
+    uses=("actuators",),
     brings={
         "engines": {"compiled": "compiled.engine:Compiled"},
-        "services": {"traced_sample": "compiled.sample:traced_sample"},
+        "traced_samples": {"compiled": "compiled.sample:traced_sample"},
     },
 )

@@ -1,16 +1,17 @@
 """The blocks of a scenario, made as pure functions for a compiled run."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from ffsm_drake.common.registrations import SERVICES
+from ffsm_drake.common.registrations import Registry
 from ffsm_drake.loop.blocks import DISTURBANCE, factory_of
 from ffsm_drake.plugins.compiled.blocks import Parts
 from ffsm_drake.plugins.compiled.followed_reference import FollowedReference
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import Block, Scenario
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.registry import Factory, call_factory, section_parts
@@ -20,6 +21,10 @@ from ffsm_drake.systems.sensing.errors import SensorErrors
 from ffsm_drake.systems.setup import BlockSetup
 
 _DETECTION = "sensing.detection"
+# Of a scenario: its actuators in a row, after saturation, quantisation and delay, and those beside.
+ACTING_BLOCKS = Registry[
+    Callable[[Scenario, Coordinates], tuple[Sequence[Sampled], Sequence[Continuous]]]
+]("acting_blocks")
 
 
 class ScenarioBlocks:
@@ -100,7 +105,7 @@ class ScenarioBlocks:
 
     def _acting(self) -> tuple[tuple[Sampled, ...], tuple[Continuous, ...]]:
         """The actuators after limits, quantisation and delay, and the flows beside them."""
-        make = SERVICES.find("acting_blocks")
+        make = ACTING_BLOCKS.first()
         if make is None:
             return (), ()
         row, beside = make(self._plain.scenario, self._plain.coordinates)

@@ -4,6 +4,7 @@ PLUGIN = Plugin(
     about="Stability and margins of the sampled loop, the verdict before a run, design of gains",
     page="verdict",
     needs=("actuators", "capture", "estimators", "flexible"),
+    uses=("compiled",),
     brings={
         "commands": {
             "design": "design.command:design",
@@ -20,8 +21,8 @@ PLUGIN = Plugin(
             "mission": "design.verdict:mission",
             "plan_remarks": "design.remarks:plan_remarks",
             "remedy": "design.remedy_file:write_remedy",
-            "report_stability": "design.panels:stability_section",
             "verdict": "design.verdict:verdict",
         },
+        "report_sections": {"stability": "design.panels:stability_section"},
     },
 )

@@ -15,9 +15,9 @@ from pydrake.systems.framework import DiagramBuilder, System
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.files import write_text, written_whole
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.loop.closed_loop import add_closed_loop, build_closed_loop, make_closed_loop
 from ffsm_drake.scenario import Scenario, load_scenario
+from ffsm_drake.show.outputs import MESHCAT_SERVERS
 from ffsm_drake.spacecraft.plant import add_combined_plant
 
 NO_GRAPHVIZ = (
@@ -42,7 +42,7 @@ def closed_loop_dot(scenario: Scenario, *, logged: bool = False) -> str:
         diagram = builder.Build()
         diagram.set_name("closed_loop")
         return _without_idle_ports(_without_idle_holds(system_dot(diagram, max_depth=1)), "plant")
-    start_meshcat = SERVICES.load("meshcat_server", "--logged")  # for the wiring only
+    start_meshcat = MESHCAT_SERVERS.only("--logged")  # for the wiring only
     plant = add_combined_plant(builder, scenario.model, flexible=True)
     loop = add_closed_loop(builder, scenario, plant=plant)
     visualizer = MeshcatVisualizer.AddToBuilder(

@@ -16,7 +16,6 @@ import click
 from ffsm_drake.cli.common import EXIT_BAD_INPUT, json_option, print_result
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.registrations import (
-    SERVICES,
     Plugin,
     Registry,
     offered,
@@ -168,7 +167,9 @@ def _other_plugins() -> str:
 
 
 def _meshcat() -> str:
-    start_meshcat = SERVICES.load("meshcat_server", "Meshcat")
+    from ffsm_drake.show.outputs import MESHCAT_SERVERS
+
+    start_meshcat = MESHCAT_SERVERS.only("Meshcat")
     return f"serves {start_meshcat().web_url()}, to this machine only"
 
 

@@ -4,6 +4,7 @@ PLUGIN = Plugin(
     about="Export of runs as CSV, MAT, MCAP, CCSDS or Parquet; live Foxglove",
     page="interfaces",
     extras=("mcap", "parquet", "ros2"),
+    uses=("flight",),
     brings={
         "commands": {"export": "exports.command:export"},
         "verbs": {"export": "exports.export:export"},

@@ -5,9 +5,7 @@ PLUGIN = Plugin(
     page="flexible",
     brings={
         "sections": {"flexible": "flexible.deflections:Deflections"},
-        "services": {
-            "flexible": "flexible",
-            "flexible_view": "flexible.meshcat:Deflections",
-        },
+        "flexible_parts": {"flexible": "flexible.parts:PARTS"},
+        "deflection_views": {"flexible": "flexible.meshcat:Deflections"},
     },
 )

@@ -18,6 +18,7 @@ from pydrake.multibody.parsing import PackageMap
 
 from ffsm_drake.common.files import check_regular
 from ffsm_drake.common.guard import is_installed
+from ffsm_drake.runs.input_copies import InputCopies
 from ffsm_drake.runs.reading import INPUTS, digest_of
 from ffsm_drake.scenario import Scenario, policy_parts
 from ffsm_drake.scenario.fields import POLICY
@@ -95,6 +96,16 @@ def changed_inputs(directory: Path, inputs: Any) -> Iterator[str]:
                 yield f"{path}: was changed after the run, so the folder may not repeat its run"
         except (OSError, ValueError):
             yield f"{path}: is missing, so the folder does not repeat its run"
+
+
+class Copies(InputCopies):
+    """Copies in the folder record.inputs."""
+
+    keep = staticmethod(keep_inputs)
+    changed = staticmethod(changed_inputs)
+
+
+COPIES = Copies()
 
 
 def _copy(file: Path, copy: Path, *, linked: bool) -> None:

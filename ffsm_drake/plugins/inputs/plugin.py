@@ -4,9 +4,6 @@ PLUGIN = Plugin(
     about="Copies of the models, plans, policies and modules of a run in its folder, to repeat it",
     page="repeat_a_run",
     brings={
-        "services": {
-            "changed_inputs": "inputs.keeping:changed_inputs",
-            "keep_inputs": "inputs.keeping:keep_inputs",
-        },
+        "input_copies": {"inputs": "inputs.keeping:COPIES"},
     },
 )

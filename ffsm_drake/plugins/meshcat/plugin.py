@@ -6,9 +6,7 @@ PLUGIN = Plugin(
     uses=("flexible",),
     brings={
         "commands": {"replay": "meshcat.command:replay"},
-        "services": {
-            "meshcat_server": "meshcat.stage:start_meshcat",
-            "recording": "meshcat.recording:recording_html",
-        },
+        "recordings": {"meshcat": "meshcat.recording:recording_html"},
+        "meshcat_servers": {"meshcat": "meshcat.stage:start_meshcat"},
     },
 )

@@ -1,23 +1,44 @@
 """A record on Meshcat's stage, one sample at a time, for the recorded page."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
+import xarray as xr
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.geometry import Meshcat, Rgba
 from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.common.registrations import SERVICES
+from ffsm_drake.common.registrations import Registry
 from ffsm_drake.plugins.meshcat.arrows import ForceArrows
 from ffsm_drake.plugins.meshcat.drift import START_LEGEND, draw_drift, draw_frame_path
 from ffsm_drake.plugins.meshcat.solids import SwitchedSolids
 from ffsm_drake.plugins.meshcat.stage import SpacecraftView, set_stage
 from ffsm_drake.runs.record import RunRecord
+from ffsm_drake.scenario import Model
+from ffsm_drake.spacecraft.coordinates import StateSplit
 
 FRAMES_PER_SECOND = 25.0
 _PATH_COLOR = Rgba(1.0, 0.62, 0.1, 1.0)
 _PATH_VERTICES = 400
+
+
+class Deflections(Protocol):
+    """Hidden coordinates of a run as they are drawn; ``legend``: how they are magnified."""
+
+    @property
+    def legend(self) -> str: ...
+
+    def at(self, sample: int) -> np.ndarray:
+        """Return the drawn hidden coordinates of a sample."""
+
+
+# Of the dataset of a run, its model, and the plant in the view with its hidden coordinates.
+DEFLECTION_VIEWS = Registry[Callable[[xr.Dataset, Model, MultibodyPlant, StateSplit], Deflections]](
+    "deflection_views"
+)
 
 
 class ReplayView:
@@ -54,9 +75,9 @@ class ReplayView:
             meshcat, record.scenario, frames_per_second=frames_per_second
         )
         self.magnified = ""  # legend of deflections drawn larger
-        self.deflections: Any = None  # view of flexible parts, if any
+        self.deflections: Deflections | None = None
         if hidden := self.spacecraft.split.names:
-            self.deflections = SERVICES.load("flexible_view", ", ".join(hidden))(
+            self.deflections = DEFLECTION_VIEWS.only(", ".join(hidden))(
                 dataset, record.scenario.model, self.spacecraft.plant, self.spacecraft.split
             )
             self.magnified = self.deflections.legend

@@ -7,9 +7,6 @@ PLUGIN = Plugin(
     needs=("actuators", "design"),
     brings={
         "commands": {"new": "new.command:new"},
-        "services": {
-            "model_as_urdf": "new.urdf.formats:as_urdf",
-            "model_trial": "new.apart:check_by_trial",
-        },
+        "model_formats": {"new": "new.formats:FORMATS"},
     },
 )

@@ -5,11 +5,11 @@ them as one file.
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from ffsm_drake.common.errors import RecordError
 from ffsm_drake.common.files import write_text
-from ffsm_drake.common.registrations import SERVICES
+from ffsm_drake.common.registrations import SERVICES, Registry
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.report.comparison import rankings, table, table_notes
 from ffsm_drake.plugins.report.part_panels import part_sections, part_tables, part_text, part_views
@@ -30,7 +30,7 @@ from ffsm_drake.runs.reading import IDENTIFIER
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.chart import Curve
-from ffsm_drake.show.page import lines_of, render
+from ffsm_drake.show.page import Section, lines_of, render
 from ffsm_drake.show.results import Result, attempt, results_of
 from ffsm_drake.show.style import GROUP_TITLES
 
@@ -73,7 +73,15 @@ _SECTIONS = {
     ),
 }
 
-_FROM_PLUGINS = ("grasp", "findings", "stability")  # see ``Section``
+
+class ReportSection(Protocol):
+    """Makes a section of the report of some runs; None: the section has no content."""
+
+    def __call__(self, results: Sequence[Result]) -> Section | None: ...
+
+
+REPORT_SECTIONS = Registry[ReportSection]("report_sections")
+_FROM_PLUGINS = ("grasp", "findings", "stability")  # in this order
 
 Json = dict[str, Any]
 
@@ -129,7 +137,7 @@ def render_report(
     given = {
         name: section
         for name in _FROM_PLUGINS
-        if (make := SERVICES.find(f"report_{name}")) is not None
+        if (make := REPORT_SECTIONS.find(name)) is not None
         and (section := make(results)) is not None
     }
     views = run_views(results)

@@ -1,12 +1,12 @@
 """Controllers: control laws as pure functions, and the one system around them."""
 
 import dataclasses
-from typing import Any
+from typing import Any, Protocol
 
 from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
-from ffsm_drake.common.registrations import SERVICES
+from ffsm_drake.common.registrations import SERVICES, Registry
 from ffsm_drake.scenario import CommandFilter, Scenario
 from ffsm_drake.scenario.contacts import closing_contacts
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -48,6 +48,24 @@ __all__ = [
     "make_law",
 ]
 
+
+class FilterOfCommands(Protocol):
+    """Returns a law with the filters of a scenario, or the law itself.
+
+    Raises ScenarioError: an unknown coordinate, or a frequency that is too high.
+    """
+
+    def __call__(
+        self,
+        law: ControlLaw,
+        settings: CommandFilter,
+        coordinates: Coordinates,
+        *,
+        sample_time: float,
+    ) -> ControlLaw: ...
+
+
+COMMAND_FILTERS = Registry[FilterOfCommands]("command_filters")
 PAPER_LAWS = ("tdc", "asmc", "aismc", "tde_aismc")  # the paper's comparison
 
 
@@ -98,7 +116,7 @@ def make_controller(
     is_law = hasattr(made, "initial_state") and hasattr(made, "step")
     law, filters = made, scenario.command_filter
     if filters != CommandFilter():
-        filtered = SERVICES.load("command_filter", "command_filter")
+        filtered = COMMAND_FILTERS.only("command_filter")
         law = filtered(made, filters, setup.coordinates, sample_time=setup.sample_time)
     if is_law:
         return SampledController(

@@ -13,7 +13,7 @@ from typing import ClassVar, NamedTuple, Self
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError, one_line
-from ffsm_drake.common.registrations import SERVICES
+from ffsm_drake.common.registrations import Registry
 from ffsm_drake.scenario import HELD, Grip, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers.law import Sample, State
@@ -116,6 +116,10 @@ class OneSampleEstimator(Estimator):
         return estimate, {"delayed_velocity": sample.v}
 
 
+# By the key ``estimator.kind``; for "one_sample" see above.
+ESTIMATORS = Registry[type[Estimator]]("estimators")
+
+
 def make_estimator(
     scenario: Scenario,
     coordinates: Coordinates,
@@ -135,7 +139,7 @@ def make_estimator(
     try:
         kind: type[Estimator] = OneSampleEstimator
         if (name := scenario.estimator.kind) != "one_sample":
-            kind = SERVICES.load(f"estimator_{name}", f"estimator.kind: {name}")
+            kind = ESTIMATORS.load(name, f"estimator.kind: {name}")
         return kind.make(scenario, coordinates, jacobian, grip)
     except np.linalg.LinAlgError as error:
         remedy = (

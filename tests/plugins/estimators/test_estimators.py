@@ -11,7 +11,6 @@ from refusals import assert_refused
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario, make_nominal_plant
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.estimators.coupled import CoupledEstimator
 from ffsm_drake.plugins.estimators.filter_gains import (
@@ -24,7 +23,11 @@ from ffsm_drake.plugins.estimators.kalman import KalmanEstimator, LateKalmanEsti
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import ESTIMATOR_KINDS
 from ffsm_drake.systems.controllers import Sample, gain_vectors
-from ffsm_drake.systems.controllers.estimation import OneSampleEstimator, make_estimator
+from ffsm_drake.systems.controllers.estimation import (
+    ESTIMATORS,
+    OneSampleEstimator,
+    make_estimator,
+)
 from ffsm_drake.systems.controllers.time_delay import time_delay_force
 from ffsm_drake.systems.reference import make_motion
 
@@ -154,8 +157,7 @@ def test_gain_is_that_of_the_filter_for_any_sensors(step):
 
 
 def test_every_kind_that_a_scenario_can_name_is_there():
-    offers = {f"estimator_{kind}" for kind in ESTIMATOR_KINDS if kind != "one_sample"}
-    assert offers == {name for name in SERVICES.offers() if name.startswith("estimator_")}
+    assert {*ESTIMATOR_KINDS} == {"one_sample", *ESTIMATORS.offers()}
 
 
 def test_a_more_trusted_sensor_and_a_faster_walk_weigh_more():

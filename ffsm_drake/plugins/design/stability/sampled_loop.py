@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
-from ffsm_drake.common.registrations import SERVICES
+from ffsm_drake.common.registrations import Registry
 from ffsm_drake.common.so3 import quaternion_rate
 from ffsm_drake.plugins.design.stability.drake_sample import DrakeSample
 from ffsm_drake.plugins.design.stability.linear_loop import WARM_UP, SampleMap
@@ -191,11 +191,15 @@ class SampledLoop:
         return found
 
 
+# Of a scenario, and the scenario with its limits, in a phase: its ``TracedSample``, or None.
+TRACED_SAMPLES = Registry[Callable[[Scenario, Scenario, Grip], Any]]("traced_samples")
+
+
 def traced_sample(scenario: Scenario, given: Scenario, grip: Grip) -> Any:
     """Return the compiled sample of a phase with a shipped law; None: it is not covered. Wheels
     give what is commanded. ``given``: the scenario with its limits.
     """
-    make = SERVICES.find("traced_sample")
+    make = TRACED_SAMPLES.first()
     if make is None:
         return None
     actuation = dataclasses.replace(scenario.actuation, wheels=None)
