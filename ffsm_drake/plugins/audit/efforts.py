@@ -9,7 +9,7 @@ import numpy as np
 
 from ffsm_drake.plugins.audit.checks import AMBIGUOUS, UNEXPLAINED, Check, fault
 from ffsm_drake.plugins.audit.dynamics import MOST, Dynamics
-from ffsm_drake.plugins.audit.log import Log, only, thinned
+from ffsm_drake.plugins.audit.log import Array, Log, only, thinned
 from ffsm_drake.plugins.audit.misfit import (
     NAMED,
     SURE,
@@ -85,6 +85,7 @@ def check_efforts(log: Log, found: Momentum, tolerance: float) -> list[Check]:
 
 
 def _check(log: Log, found: Momentum, tolerance: float) -> list[Check]:
+    """Check a stretch of a log."""
     name, dynamics, names = "energy", found.dynamics, found.dynamics.names
     works = functools.cache(lambda log: _works(log, dynamics))
     sizes = [work.size for work in works(log)]
@@ -130,15 +131,21 @@ def _check(log: Log, found: Momentum, tolerance: float) -> list[Check]:
             )
             return [fault(name, explained.cause, said)]
     moving = [each for each, size in zip(factors, sizes, strict=True) if size > least]
-    each, errors = ([float(getattr(x, k)[0]) for x in moving] for k in ("sizes", "errors"))
-    factor = common_factor([1.0 + size for size in each], errors)
-    if factor and abs(factor - 1.0) > tolerance and "effort_scale" in causes:
-        said = (
-            f"is {factor:.4g} times the work of the efforts: all masses of the log are "
-            f"{1.0 / factor:.4g} times the URDF's, or the efforts have another unit"
-        )
-        return [fault(name, "mass_or_effort_scale", said)]
-    return faults
+    scale = _common_scale(moving, tolerance) if "effort_scale" in causes else None
+    return faults if scale is None else [scale]
+
+
+def _common_scale(factors: Sequence[Estimate], tolerance: float) -> Check | None:
+    """The fault that all efforts have one factor; None: they have none."""
+    sizes, errors = ([float(getattr(x, k)[0]) for x in factors] for k in ("sizes", "errors"))
+    factor = common_factor([1.0 + size for size in sizes], errors)
+    if not factor or abs(factor - 1.0) <= tolerance:
+        return None
+    said = (
+        f"is {factor:.4g} times the work of the efforts: all masses of the log are "
+        f"{1.0 / factor:.4g} times the URDF's, or the efforts have another unit"
+    )
+    return fault("energy", "mass_or_effort_scale", said)
 
 
 def _is_odd(joint: Followed, factor: Estimate, tolerance: float) -> bool:
@@ -166,23 +173,7 @@ def _mistakes(log: Log, joints: list[Followed], j: int, names: Sequence[str]) ->
         cause="effort_sign", text="has an effort of the other sign", columns=[expected],
         least=-2.1, most=-1.9,
     )  # fmt: skip
-    way = float(np.sign(rate).mean())
-    moves_one_way = abs(way) > _ONE_WAY  # dry friction is an offset there
-    for cause, more, against_it in (
-        ("effort_offset", "", False),
-        (
-            "effort_offset or friction",
-            ", or dry friction as large, because it moves in one direction",
-            True,
-        ),
-    )[: 1 + moves_one_way]:
-        is_positive = against_it != (way > 0.0)
-        yield Mistake(
-            cause=cause, text=f"has an effort with a constant offset of {{0}}{more}", factor=-1.0,
-            columns=[period], unit="N m or N",
-            least=0.0 if moves_one_way and is_positive else -math.inf,
-            most=0.0 if moves_one_way and not is_positive else math.inf,
-        )  # fmt: skip
+    yield from _offsets(float(np.sign(rate).mean()), period)
     for cause, text, columns, unit, floors in (
         ("rotor_inertia", "has a rotor inertia of {0} that is not in the URDF",
          [-np.diff(rate, axis=0)], "kg m^2 (or kg)", 0.0),
@@ -200,3 +191,26 @@ def _mistakes(log: Log, joints: list[Followed], j: int, names: Sequence[str]) ->
                 cause="joint_order", text=f"has the effort called {other}",
                 columns=[joints[i].expected - expected], least=0.95, most=1.05,
             )  # fmt: skip
+
+
+def _offsets(way: float, period: Array) -> Iterator[Mistake]:
+    """A constant offset of an effort. Dry friction is one if the joint moves in one direction.
+
+    Args: mean sign of its rate; lengths of the periods (n - 1, 1), s.
+    """
+    moves_one_way = abs(way) > _ONE_WAY
+    for cause, more, against_it in (
+        ("effort_offset", "", False),
+        (
+            "effort_offset or friction",
+            ", or dry friction as large, because it moves in one direction",
+            True,
+        ),
+    )[: 1 + moves_one_way]:
+        is_positive = against_it != (way > 0.0)
+        yield Mistake(
+            cause=cause, text=f"has an effort with a constant offset of {{0}}{more}", factor=-1.0,
+            columns=[period], unit="N m or N",
+            least=0.0 if moves_one_way and is_positive else -math.inf,
+            most=0.0 if moves_one_way and not is_positive else math.inf,
+        )  # fmt: skip

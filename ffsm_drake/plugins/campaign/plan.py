@@ -3,7 +3,7 @@
 import collections
 import itertools
 import statistics
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.steps import step
@@ -37,40 +37,10 @@ def plan_text(spec: Spec, *, workers: int) -> str:
       CampaignError, ModelError, ScenarioError: a value cannot be used.
     """
     check_cases(spec)
-    cases = make_cases(spec)
-    first = list(itertools.islice(cases, _SHOWN))
-    evaluator = Evaluator(spec)
-    rows, problems = dict[str, Row](), dict[str, str]()
-
-    def evaluate(case: Case, name: str) -> Row:
-        with step(f"case {case.index} with {name}"):
-            return evaluator.evaluate(case, name)
-
-    for name in spec.controllers:
-        rows[name] = row = evaluate(first[-1], name)
-        if row["outcome"] in COMPLETED and row["wall_time"] > _IMPORTS:
-            continue
-        for case in reversed(first):
-            rows[name] = row = evaluate(case, name)
-            if row["outcome"] in COMPLETED:
-                break
-            said = f"case {case.index} with {spec.label(name)}: {row['outcome']}: {row['message']}"
-            problems.setdefault(name, said)
+    first = list(itertools.islice(make_cases(spec), _SHOWN))
+    rows, problems = _first_runs(spec, first)
+    lines = _case_lines(spec, first)
     seconds = [row["wall_time"] for row in rows.values()]
-    width = max(map(len, spec.names)) + 2
-    tolerance = ", ".join(f"{group} {value:g}" for group, value in spec.settled.tolerance.items())
-    lines = [
-        spec.description or "campaign",
-        f"{counted(spec.cases, 'case')} ({spec.sampling}, seed {spec.seed}), each with "
-        f"{', '.join(map(spec.label, spec.controllers))}: {counted(spec.runs, 'run')}",
-        f"settled: |e| within {tolerance} (rad, m) throughout the last {spec.settled.hold:g} s",
-        "",
-        f"{'value':<{width}}" + "".join(f"{f'case {case.index}':>14}" for case in first),
-    ]
-    for name in spec.names:
-        lines.append(
-            f"{name:<{width}}" + "".join(f"{_short(spec, name, case):>14}" for case in first)
-        )
     total = statistics.fmean(seconds) * spec.runs / workers
     per_run = ", ".join(
         f"{spec.label(name)} {value:.2f} s"
@@ -96,6 +66,49 @@ def plan_text(spec: Spec, *, workers: int) -> str:
         if NO_PREDICTION in row["message"] and row["outcome"] != "error"
     ]
     return "\n".join(lines)
+
+
+def _first_runs(spec: Spec, first: Sequence[Case]) -> tuple[dict[str, Row], dict[str, str]]:
+    """Run some cases with each controller, the last one first, until one reaches its end.
+
+    Returns: by controller, the row of the last run, and what the first one that failed says.
+    """
+    evaluator = Evaluator(spec)
+    rows, problems = dict[str, Row](), dict[str, str]()
+
+    def evaluate(case: Case, name: str) -> Row:
+        with step(f"case {case.index} with {name}"):
+            return evaluator.evaluate(case, name)
+
+    for name in spec.controllers:
+        rows[name] = row = evaluate(first[-1], name)
+        if row["outcome"] in COMPLETED and row["wall_time"] > _IMPORTS:
+            continue
+        for case in reversed(first):
+            rows[name] = row = evaluate(case, name)
+            if row["outcome"] in COMPLETED:
+                break
+            said = f"case {case.index} with {spec.label(name)}: {row['outcome']}: {row['message']}"
+            problems.setdefault(name, said)
+    return rows, problems
+
+
+def _case_lines(spec: Spec, first: Sequence[Case]) -> list[str]:
+    """What a campaign runs, and the values of its first cases."""
+    width = max(map(len, spec.names)) + 2
+    tolerance = ", ".join(f"{group} {value:g}" for group, value in spec.settled.tolerance.items())
+    return [
+        spec.description or "campaign",
+        f"{counted(spec.cases, 'case')} ({spec.sampling}, seed {spec.seed}), each with "
+        f"{', '.join(map(spec.label, spec.controllers))}: {counted(spec.runs, 'run')}",
+        f"settled: |e| within {tolerance} (rad, m) throughout the last {spec.settled.hold:g} s",
+        "",
+        f"{'value':<{width}}" + "".join(f"{f'case {case.index}':>14}" for case in first),
+        *(
+            f"{name:<{width}}" + "".join(f"{_short(spec, name, case):>14}" for case in first)
+            for name in spec.names
+        ),
+    ]
 
 
 def status_text(store: Store) -> str:

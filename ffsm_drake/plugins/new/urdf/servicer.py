@@ -4,7 +4,7 @@ import dataclasses
 import itertools
 import math
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -142,66 +142,77 @@ def read_urdf(
             vague = [*vague_limits(root)]
         tree = _Tree(root, followers, faults)
         chosen, *others = tree.tips(tip)
-        hands, other = [chosen], None
-        if second is not None:
-            other, *_ = tree.tips(second)
-            others = [each for each in others if each.frame != second]
-            hands.append(other)
-            _check_apart(chosen, other)
+        other = None if second is None else tree.tips(second)[0]
+        hands = [chosen] if other is None else [chosen, other]
+        _check_hands(hands, followers)
         tree.check_masses(*hands)
-        for (follower, leader), hand in itertools.product(followers.items(), hands):
-            require(
-                leader not in hand.joints,
-                f"joint '{follower}' follows '{leader}' (<mimic>), which moves the tip; remove "
-                "<mimic>, and it is controlled on its own",
-            )
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
     base_links = tuple(tree.rigid_group(tree.base))
     base_mass, total = sum(tree.masses[name] for name in base_links), sum(tree.masses.values())
-    remarks = [*left_out, *vague]
-    normal = None
-    if axis is not None:
-        kept = "; its plane is not one of two axes, so motion and disturbance leave it"
-        if np.abs(axis).max() > 0.999:
-            normal, kept = int(np.abs(axis).argmax()), ", and its motion and disturbance stay in it"
-        remarks.append(f"the base '{tree.base}' slides in a plane: it is free here{kept}")
-    if followers:
-        told = (f"{follower} (follows {leader})" for follower, leader in followers.items())
-        remarks.append(f"joints that follow others are fixed: {', '.join(told)}")
-    if base_mass < 0.5 * total:
-        remarks.append(
-            f"the base '{tree.base}' has {short(base_mass)} of {short(total)} kg; if it is the "
-            "foot of an arm, mount it on a bus with --bus-mass KG"
-        )
     return Servicer(
         source=path,
         base=tree.base,
         base_links=base_links,
         base_mass=base_mass,
-        normal=normal,
+        normal=_normal(axis),
         total_mass=total,
         joints=tuple(joint for joint in tree.joints if joint.moves),
         tip=chosen,
         second=other,
-        other_tips=tuple(others),
-        remarks=tuple(remarks),
+        other_tips=tuple(each for each in others if each.frame != second),
+        remarks=(*left_out, *vague, *_remarks(tree.base, axis, followers, base_mass, total)),
         root=root,
         header=header,
     )
 
 
-def _check_apart(first: Tip, second: Tip) -> None:
-    """Raise ModelError if two tips are on one arm."""
-    require(
-        first.frame != second.frame,
-        f"both tips are '{first.frame}'; name the hands of two arms",
-    )
-    one, other = set(first.joints), set(second.joints)
-    require(
-        not (one <= other or other <= one),
-        f"the tips '{first.frame}' and '{second.frame}' are on one arm; name the hands of two",
-    )
+def _normal(axis: np.ndarray | None) -> int | None:
+    """The axis of the base (0, 1, 2) that is normal to a plane; None if none is."""
+    if axis is None or np.abs(axis).max() <= 0.999:
+        return None
+    return int(np.abs(axis).argmax())
+
+
+def _remarks(
+    base: str, axis: np.ndarray | None, followers: Mapping[str, str], mass: float, total: float
+) -> Iterator[str]:
+    """Remarks on the base and its mass (of a total, kg), its plane, and joints that are fixed."""
+    if axis is not None:
+        kept = "; its plane is not one of two axes, so motion and disturbance leave it"
+        if _normal(axis) is not None:
+            kept = ", and its motion and disturbance stay in it"
+        yield f"the base '{base}' slides in a plane: it is free here{kept}"
+    if followers:
+        told = (f"{follower} (follows {leader})" for follower, leader in followers.items())
+        yield f"joints that follow others are fixed: {', '.join(told)}"
+    if mass < 0.5 * total:
+        yield (
+            f"the base '{base}' has {short(mass)} of {short(total)} kg; if it is the foot of an "
+            "arm, mount it on a bus with --bus-mass KG"
+        )
+
+
+def _check_hands(hands: Sequence[Tip], followers: Mapping[str, str]) -> None:
+    """Raise ModelError if two tips are on one arm, or a joint that is fixed follows one that moves
+    a tip.
+    """
+    for first, second in itertools.combinations(hands, 2):
+        require(
+            first.frame != second.frame,
+            f"both tips are '{first.frame}'; name the hands of two arms",
+        )
+        one, other = set(first.joints), set(second.joints)
+        require(
+            not (one <= other or other <= one),
+            f"the tips '{first.frame}' and '{second.frame}' are on one arm; name the hands of two",
+        )
+    for (follower, leader), hand in itertools.product(followers.items(), hands):
+        require(
+            leader not in hand.joints,
+            f"joint '{follower}' follows '{leader}' (<mimic>), which moves the tip; remove "
+            "<mimic>, and it is controlled on its own",
+        )
 
 
 class _Tree:

@@ -47,14 +47,20 @@ _PASSED_OVER = (
 )  # fmt: skip
 
 
-def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, list[str]]:
-    """The URDF of an SDFormat file, and remarks. Raises ModelError: Drake cannot read it, or parts
-    of it cannot be represented.
+class _Source:
+    """An SDFormat file and those that it includes, without what Drake's parser does not read: that
+    is kept here.
     """
-    folders = {name: str(root) for name, root in packages.items()}
-    passed, frictions, mimics = Counter[str](), dict[str, float](), dict[str, Element]()
 
-    def read(file: Path) -> tuple[Element, Lines]:
+    def __init__(self, path: Path, packages: Mapping[str, Path], folder: Path) -> None:
+        self._folders = {name: str(root) for name, root in packages.items()}
+        self.passed = Counter[str]()  # removed elements by tag
+        self.frictions, self.mimics = dict[str, float](), dict[str, Element]()  # by joint
+        self.pictures = Pictures(packages, folder, lambda file: self._read(file)[0])
+        self.tree, lines = self._read(path)
+        self.line = lines[self.tree]  # of the file
+
+    def _read(self, file: Path) -> tuple[Element, Lines]:
         """A file ready for Drake."""
         tree, lines = read_located(file)
         version = tree.get("version", "1.0")
@@ -62,29 +68,38 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
             re.fullmatch(r"\d{1,3}(\.\d{1,3}){0,2}", version),
             f"<sdf version> must be such as 1.9, not '{version[:40]}'",
         )
-        files_of(str(file), "its files", folders)
-        known = len(pictures.visuals)
-        pictures.take(tree, file)
-        passed.update(_remove(tree))
-        shown = [*pictures.visuals.values()][known:]
+        files_of(str(file), "its files", self._folders)
+        known = len(self.pictures.visuals)
+        self.pictures.take(tree, file)
+        self.passed.update(_remove(tree))
+        shown = [*self.pictures.visuals.values()][known:]
         Faults(number_faults((tree, *shown), lines)).raise_all()
         added = [*tree.iter("fluid_added_mass")]
         require(not added, "has <fluid_added_mass>, which is no mass in free flight; remove it")
-        for joint in tree.iter("joint"):  # one name in several models: the largest
-            friction = _value(joint, "axis/dynamics/friction")
-            frictions[name_of(joint)] = max(friction, frictions.get(name_of(joint), 0.0))
-            for axis in joint.findall("axis"):
-                for mimic in axis.findall("mimic"):  # which Drake refuses in continuous time
-                    mimics[name_of(joint)] = mimic
-                    axis.remove(mimic)
+        for joint in tree.iter("joint"):
+            self._take_joint(joint)
         _complete(tree, file.resolve().parent)
         keep_lines(tree, lines)
         return tree, lines
 
+    def _take_joint(self, joint: Element) -> None:
+        name, friction = name_of(joint), _value(joint, "axis/dynamics/friction")
+        # one name in several models: the largest
+        self.frictions[name] = max(friction, self.frictions.get(name, 0.0))
+        for axis in joint.findall("axis"):
+            for mimic in axis.findall("mimic"):  # which Drake refuses in continuous time
+                self.mimics[name] = mimic
+                axis.remove(mimic)
+
+
+def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, list[str]]:
+    """The URDF of an SDFormat file, and remarks. Raises ModelError: Drake cannot read it, or parts
+    of it cannot be represented.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        pictures = Pictures(packages, Path(folder), lambda file: read(file)[0])
-        tree, lines = read(path)
-        plant = _parsed(tree, lines[tree], path, packages, Path(folder))
+        source = _Source(path, packages, Path(folder))
+        plant = _parsed(source.tree, source.line, path, packages, Path(folder))
+    tree, pictures = source.tree, source.pictures
     root = Element("robot", name=next((m.get("name", "") for m in tree.iter("model")), "servicer"))
     frames = {frame.get("name", "") for frame in tree.iter("frame")} - pictures.visuals.keys()
     faults = Faults()
@@ -95,24 +110,16 @@ def read_sdformat(path: Path, packages: Mapping[str, Path]) -> tuple[Element, li
     for body in bodies:
         _add_body(root, names[_scoped(plant, body)], body)
     pictures.add(root, plant, lambda body: names.get(_scoped(plant, body), ""))
-    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
-    unique = _unique(plant, joints)
-    for joint in joints:
-        with faults:
-            friction, scoped = frictions.get(joint.name(), 0.0), _scoped(plant, joint)
-            added = _add_joint(root, unique[scoped], plant, joint, names, friction)
-            if (mimic := mimics.get(joint.name())) is not None:
-                leader = scoped.removesuffix(joint.name()) + mimic.get("joint", "")
-                slope, zero = _value(mimic, "multiplier", 1.0), _value(mimic, "reference")
-                offset = _value(mimic, "offset") - slope * zero
-                add_mimic(added, unique.get(leader, leader), slope, offset)
+    _add_joints(root, plant, names, source, faults)
     faults.raise_all()
     for frame in frames_of(plant):
         if frame.name() in frames:
             link = names[_scoped(plant, frame.body())]
             add_frame(root, frame.name(), link, frame.GetFixedPoseInBodyFrame())
     told = [
-        f"<{tag}> ({counted(count, 'time')})" for tag, count in passed.items() if tag != "visual"
+        f"<{tag}> ({counted(count, 'time')})"
+        for tag, count in source.passed.items()
+        if tag != "visual"
     ]
     return root, [*passed_over(told), *keep_servicer(root)]
 
@@ -244,6 +251,24 @@ def _add_body(root: Element, name: str, body: Any) -> None:
     if mass:
         tensor = inertia.Shift(center).CalcRotationalInertia().CopyToFullMatrix3()
     add_link(root, name, mass, center, tensor)
+
+
+def _add_joints(
+    root: Element, plant: MultibodyPlant, names: Mapping[str, str], source: _Source, faults: Faults
+) -> None:
+    """Add the joints, with their friction and the joints that they follow."""
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    unique = _unique(plant, joints)
+    for joint in joints:
+        with faults:
+            name, scoped = joint.name(), _scoped(plant, joint)
+            friction = source.frictions.get(name, 0.0)
+            added = _add_joint(root, unique[scoped], plant, joint, names, friction)
+            if (mimic := source.mimics.get(name)) is not None:
+                leader = scoped.removesuffix(name) + mimic.get("joint", "")
+                slope, zero = _value(mimic, "multiplier", 1.0), _value(mimic, "reference")
+                offset = _value(mimic, "offset") - slope * zero
+                add_mimic(added, unique.get(leader, leader), slope, offset)
 
 
 def _add_joint(
