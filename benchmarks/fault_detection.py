@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.loop.blocks import settle_faults
 from ffsm_drake.plugins.capture.supervisor import Cause
 from ffsm_drake.plugins.faults.detection import KINDS
 from ffsm_drake.plugins.new.asked import Asked
@@ -29,6 +28,7 @@ from ffsm_drake.plugins.new.first_scenario import new_scenario
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Fault, Scenario, load_scenario
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.faults import settle_faults
 
 ROOT = Path(__file__).parents[1]
 HORIZON = 8.0  # s, of a mission without an approach

@@ -1,8 +1,9 @@
 """The tables of the documentation that are made from the package when the site is built.
 
 On the pages scenario and blocks, the line ``<!-- table -->`` stands for the table of keys or ports.
-On any page, ``<!-- laws -->``, ``<!-- scenarios -->`` and ``<!-- plugins -->`` stand for lists of
-what the package contains. ``python docs/_ext/settings_tables.py`` prints all of them.
+On any page, ``<!-- laws -->``, ``<!-- scenarios -->``, ``<!-- plugins -->`` and ``<!-- faults -->``
+stand for lists of what the package contains. ``python docs/_ext/settings_tables.py`` prints all of
+them.
 """
 
 import dataclasses
@@ -25,6 +26,7 @@ from ffsm_drake.scenario import (
 )
 from ffsm_drake.scenario.resolving import without_null
 from ffsm_drake.systems.controllers.law import gains_of
+from ffsm_drake.systems.faults import fault_kinds
 from ffsm_drake.systems.registry import find_factory, shipped_names
 
 MARK = "<!-- table -->"
@@ -241,6 +243,18 @@ def plugin_table() -> str:
     return "\n".join(lines)
 
 
+def fault_table() -> str:
+    """The kinds of faults that the parts declare, as Markdown."""
+    lines = ["| unit | kind | effect | default of `size` |", "|---|---|---|---|"]
+    for part, kinds in fault_kinds().items():
+        unit = f"`{part}.NAME`"
+        for name, kind in kinds.items():
+            default = f"{kind.default:g}" if kind.size and kind.default is not None else ""
+            lines.append(f"| {unit} | `{name}` | {_escaped(kind.effect)} | {default} |")
+            unit = ""
+    return "\n".join(lines)
+
+
 def _names(names: Iterable[str]) -> str:
     return ", ".join(f"`{name}`" for name in names)
 
@@ -259,6 +273,7 @@ LISTS: dict[str, Callable[[], str]] = {
     "<!-- laws -->": law_table,
     "<!-- scenarios -->": scenario_list,
     "<!-- plugins -->": plugin_table,
+    "<!-- faults -->": fault_table,
 }
 
 

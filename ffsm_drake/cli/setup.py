@@ -153,9 +153,12 @@ def schema() -> None:
     """
     from ffsm_drake.scenario.json_schema import scenario_schema
     from ffsm_drake.systems.controllers import gains_schema
+    from ffsm_drake.systems.faults import kind_names
 
     data = scenario_schema()
     data["properties"]["controllers"]["properties"] = gains_schema()
+    faults = data["properties"]["faults"]["anyOf"][0]["properties"]
+    faults["events"]["additionalProperties"]["properties"]["kind"]["enum"] = kind_names()
     print_json(data)
 
 

@@ -11,7 +11,7 @@ true payload's ``MassProperties`` before that and whenever they change.
 
 import dataclasses
 import hashlib
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 from pydrake.systems.framework import System
@@ -26,7 +26,7 @@ from ffsm_drake.spacecraft.plant import resolve_package
 from ffsm_drake.systems.continuous import Continuous, InstantSystem
 from ffsm_drake.systems.controllers import make_controller
 from ffsm_drake.systems.controllers.sampled import SIGNALS
-from ffsm_drake.systems.faults import settled
+from ffsm_drake.systems.faults import settle_faults
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.parts.placed import PlacedPart, place_part
@@ -36,7 +36,6 @@ from ffsm_drake.systems.registry import (
     call_factory,
     find_factory,
     module_file,
-    section_kinds,
     section_parts,
 )
 from ffsm_drake.systems.sampled import Sampled, SampledSystem
@@ -267,18 +266,6 @@ def _in_order(names: Collection[str]) -> tuple[str, ...]:
         (name,) if name in names else () for name in ("supervisor", "actuation")
     )
     return ("reference", "sensing", *stages, "controller", *supervisor, *actuation, *forces)
-
-
-def settle_faults(scenario: Scenario, coordinates: Coordinates) -> Scenario:
-    """Return the scenario with its faults drawn, from the possible ones of its parts. Raises the
-    errors of ``settled``.
-    """
-    known: dict[str, Sequence[str]] = {}
-    if scenario.faults is None:
-        return scenario
-    for kind in section_kinds():
-        known |= kind.known_faults(scenario, coordinates)
-    return settled(scenario, known)
 
 
 def is_rehearsed(scenario: Scenario) -> bool:

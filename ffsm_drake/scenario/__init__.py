@@ -14,7 +14,7 @@ from ffsm_drake.scenario.actuation import (
 from ffsm_drake.scenario.blocks import Block, Blocks, kind_of
 from ffsm_drake.scenario.capture import CAPTURE_AXES, Approach, Capture
 from ffsm_drake.scenario.contacts import EMPTY, HELD, WHOLE, Grip
-from ffsm_drake.scenario.faults import Detection, Fault, Faults
+from ffsm_drake.scenario.faults import Detection, Fault, FaultKind, Faults
 from ffsm_drake.scenario.fields import PerCoordinate, policy_parts
 from ffsm_drake.scenario.forces import Disturbance, Environment, Harmonic, SolarPressure
 from ffsm_drake.scenario.layers import (
@@ -100,6 +100,7 @@ __all__ = [
     "Environment",
     "Estimator",
     "Fault",
+    "FaultKind",
     "Faults",
     "Flexible",
     "FrameGoal",

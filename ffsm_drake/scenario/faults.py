@@ -10,9 +10,21 @@ from ffsm_drake.scenario.fields import PerCoordinate, unitless
 DRAWN = "any"  # in place of a unit or a kind
 
 
+@dataclass(frozen=True, kw_only=True)
+class FaultKind:
+    """A kind of fault of the units of a part, which declares it."""
+
+    name: str
+    effect: str  # for the documentation
+    size: str = ""  # what the size of such a fault is; empty: it has none
+    is_share: bool = False  # a size is at most 1
+    default: float | None = None  # size of a fault without one
+    at_random: bool = False  # the fault is there at a share ``size`` of the samples, at random
+
+
 @dataclass
 class Fault:
-    """A unit of the spacecraft that fails for the rest of the run."""
+    """A unit of the spacecraft that fails: once or periodically, for a while or to the end."""
 
     unit: str = unitless(
         DRAWN,
@@ -20,11 +32,7 @@ class Fault:
         "joints.joint_2; thrusters, wheels, sensing or joints: drawn among these; any: drawn "
         "among all units",
     )
-    kind: str = unitless(
-        DRAWN,
-        "kind of fault: stuck_on, stuck_off, leaking or weak for a thruster; stops for a wheel; "
-        "frozen, biased or silent for a sensor; jammed for a joint; any: drawn",
-    )
+    kind: str = unitless(DRAWN, "kind of fault; any: drawn among the kinds of the unit")
     time: list[float] = setting(
         [0.0], "s",
             "time of the fault, which begins at the next control sample; two numbers: drawn "
@@ -32,19 +40,45 @@ class Fault:
             "them",
         least=0, size=(1, 2),
     )  # fmt: skip
+    duration: float | None = setting(
+        None,
+        "s",
+        "duration of the fault, rounded up to control samples; null: to the end of the run",
+        above=0,
+    )
+    period: float | None = setting(
+        None,
+        "s",
+        "time from one beginning of an intermittent fault to the next, in whole control samples; "
+        "null: the fault begins once",
+        above=0,
+    )
     size: float | None = setting(
         None,
         "1, rad, m, rad/s or m/s",
-        "size of the fault. leaking: share of the thrust that leaks (null: 0.2); weak: share that "
-        "is missing (null: 0.5); biased: the bias (null: 20 standard deviations of the noise, at "
-        "least 0.01)",
+        "size of a fault whose kind has one; null: the default of the kind",
         above=0,
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Check that the interval does not end before it begins."""
+        """Check that the interval does not end before it begins, and that the fault comes and goes
+        in whole control samples.
+        """
         if self.time != sorted(self.time):
             yield f"{key}.time", f"must not end before it begins, not {self.time}"
+        if self.period is None:
+            return
+        step = scenario.sample_time
+        if self.duration is None:
+            yield f"{key}.period", f"needs a duration; set {key}.duration below {self.period:g} s"
+        elif samples_of(self.duration, step) >= samples_of(self.period, step):
+            problem = f"must exceed the duration, {self.duration:g} s, by a control sample"
+            yield f"{key}.period", f"{problem}, not {self.period:g} s; omit it for a lasting fault"
+
+
+def samples_of(duration: float, sample_time: float) -> int:
+    """Control samples in a duration, rounded up."""
+    return math.ceil(duration / sample_time - 1e-9)
 
 
 @dataclass

@@ -56,7 +56,8 @@ def _schema(kind: Any, default: Any, declared: Setting) -> dict[str, Any]:
     if origin is list:
         items = _schema(args[0], None, declared)
         sizes = _given(minItems=low or None, maxItems=high)
-        return {"type": "array", "items": items, **sizes}
+        several = {"type": "array", "items": items, **sizes}
+        return {"anyOf": [items, several]} if args[0] is float and low <= 1 else several
     return {"type": _LEAVES[kind]} | _given(
         exclusiveMinimum=declared.above,
         minimum=declared.least,

@@ -174,6 +174,8 @@ def resolve(schema: Any, default: Any, data: Any, path: str) -> Any:
             _convert_leaf(str, key, join(path, key))
         return {key: resolve(args[1], blank, item, join(path, key)) for key, item in data.items()}
     if origin is list:
+        if args[0] is float and type(data) in (int, float):  # a number alone
+            data = [data]
         if not isinstance(data, (list, tuple)):
             raise ScenarioError(path, f"must be a list, not {shown(data)}")
         return [resolve(args[0], None, item, f"{path}[{i}]") for i, item in enumerate(data)]

@@ -10,16 +10,16 @@ import numpy as np
 from ffsm_drake.common.choice import choose, may_be, repeated
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.plugins.actuators.attitude import attitude_ahead
-from ffsm_drake.plugins.actuators.thrusters import Firing, ThrusterSet, gains_and_floors
-from ffsm_drake.plugins.actuators.wheel_set import WheelSet, WheelTorques
-from ffsm_drake.scenario import Fault
+from ffsm_drake.plugins.actuators.thruster_faults import gains_and_floors
+from ffsm_drake.plugins.actuators.thrusters import Firing, ThrusterSet
+from ffsm_drake.plugins.actuators.wheel_set import WHEEL_STOPS, WheelSet, WheelTorques
+from ffsm_drake.systems.faults import Hit
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 
 # Control samples in which wheels recover the torque impulse of pulses beyond their capability.
 # Commands beyond their limits are not recovered: the controller reads applied_force and repeats
 # them.
 _RECOVERY = 10
-Hit = tuple[str, Fault, int]  # unit, fault, first control sample of the fault
 # Codes of fault detection for a thruster or wheel: it is off and gets no command (a thruster's
 # upstream valve is shut); a thruster stays open.
 LOST, STUCK_ON = 1.0, 2.0
@@ -140,14 +140,12 @@ class BaseActuators(Sampled):
         begins = (sample % self.frame == 0) * 1.0
         if not self._may_break:
             return [begins]
-        changes, effects = self._broken
-        return [begins, *effects[np.searchsorted(changes, sample, side="right")].T]
-
-    @functools.cached_property
-    def _broken(self) -> tuple[list[int], np.ndarray]:
-        """The control samples at which faults begin, and ``_faults_at`` before and from each on."""
-        changes = sorted({since for *_, since in self.faults})
-        return changes, np.array([self._faults_at(each) for each in (-1, *changes)])
+        samples = np.atleast_1d(sample)
+        there = np.zeros((samples.size, len(self.faults)), dtype=bool)
+        for at, fault in enumerate(self.faults):
+            there[:, at] = fault.occurs.at(samples)
+        effects = np.array([self._effects_of(*each) for each in there.tolist()])
+        return [begins, *(effects.T if np.ndim(sample) else effects[0])]
 
     @property
     def phase_period(self) -> int:
@@ -319,13 +317,21 @@ class BaseActuators(Sampled):
             return self.thrusters, self.wheels, False
         return thrusters, wheels, True
 
-    def _faults_at(self, sample: int) -> np.ndarray:
-        """Gains, floors, stopped wheels at a control sample."""
-        there = [(name, fault) for name, fault, since in self.faults if sample >= since]
-        thrusters, wheels = (() if each is None else each.names for each in self._sets)
-        of_thrusters = gains_and_floors(thrusters, [e for e in there if e[1].kind != "stops"])
-        stopped = {name for name, fault in there if fault.kind == "stops"}
-        return np.concatenate([*of_thrusters, [float(name in stopped) for name in wheels]])
+    def _effects_of(self, *are_there: bool) -> np.ndarray:
+        """Gains, floors, stopped wheels, with those of the faults that are there."""
+        if are_there not in self._effects:
+            hits = [hit for hit, is_there in zip(self.faults, are_there, strict=True) if is_there]
+            thrusters, wheels = (() if each is None else each.names for each in self._sets)
+            of_thrusters = [hit for hit in hits if hit.kind is not WHEEL_STOPS]
+            stopped = {hit.unit for hit in hits if hit.kind is WHEEL_STOPS}
+            stops = [float(name in stopped) for name in wheels]
+            effects = np.concatenate([*gains_and_floors(thrusters, of_thrusters), stops])
+            self._effects[are_there] = effects
+        return self._effects[are_there]
+
+    @functools.cached_property
+    def _effects(self) -> dict[tuple[bool, ...], np.ndarray]:
+        return {}
 
 
 def _turned_back(wrench: np.ndarray, rotation: np.ndarray) -> np.ndarray:

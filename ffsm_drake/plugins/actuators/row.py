@@ -9,7 +9,7 @@ import numpy as np
 from pydrake.systems.framework import System
 from pydrake.systems.primitives import DiscreteTimeDelay, PassThrough, Saturation
 
-from ffsm_drake.plugins.actuators.base import BaseActuators, Hit
+from ffsm_drake.plugins.actuators.base import BaseActuators
 from ffsm_drake.plugins.actuators.drives import FRICTION, DriveSet, JointFriction, RateLimit
 from ffsm_drake.plugins.actuators.gyroscopic import Gyroscopic
 from ffsm_drake.plugins.actuators.plume import allocated
@@ -18,7 +18,7 @@ from ffsm_drake.plugins.actuators.wheel_set import WheelSet
 from ffsm_drake.scenario import Actuation, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.continuous import Continuous, ContinuousSystem, InstantSystem
-from ffsm_drake.systems.faults import detects, first_sample, hits
+from ffsm_drake.systems.faults import Hit, detects, hits
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.quantization import Quantizer
 from ffsm_drake.systems.sampled import Sampled, SampledSystem
@@ -145,11 +145,7 @@ def acting_blocks(
 
 
 def _faults(scenario: Scenario) -> list[Hit]:
-    return [
-        (unit, fault, first_sample(fault, scenario.sample_time))
-        for part in ("thrusters", "wheels")
-        for unit, fault in hits(scenario, part)
-    ]
+    return [hit for part in ("thrusters", "wheels") for hit in hits(scenario, part)]
 
 
 def _make_limits(

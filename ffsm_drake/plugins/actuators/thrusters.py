@@ -20,7 +20,8 @@ from ffsm_drake.plugins.actuators.modulation import (
     whole_frames,
 )
 from ffsm_drake.plugins.actuators.plume import allocated
-from ffsm_drake.scenario import Fault, Scenario, Thruster, Thrusters, thrusters_of
+from ffsm_drake.plugins.actuators.thruster_faults import THRUSTER_FAULTS
+from ffsm_drake.scenario import Scenario, Thruster, Thrusters, thrusters_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.parts.actuator import BaseActuator
 from ffsm_drake.systems.parts.advice import Advice, Load
@@ -32,7 +33,6 @@ from ffsm_drake.systems.setup import BlockSetup
 
 _KEY = "actuation.thrusters"
 STANDARD_GRAVITY = 9.80665  # m/s^2; defines the specific impulse
-LEAK, WEAKNESS = 0.2, 0.5  # shares of the force, of faults without a size
 _WHOLE = 1.0 - 1e-9  # the part of a wrench that counts as all of it
 
 
@@ -46,24 +46,6 @@ class Firing(NamedTuple):
     # (1) the part of the commanded wrench that the last allocation could give, 0 to 1
     given: np.ndarray
     level: np.ndarray  # (n) the same force as a share of each thruster's, if it works
-
-
-def gains_and_floors(
-    names: Sequence[str], faults: Sequence[tuple[str, Fault]]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Effect of faults on thrusters: the factor on the force, and the least share of it; (n)
-    each.
-    """
-    gain, floor = np.ones(len(names)), np.zeros(len(names))
-    for name, fault in faults:
-        at, size = names.index(name), {"leaking": LEAK, "weak": WEAKNESS}.get(fault.kind, 1.0)
-        if fault.size is not None and size < 1.0:
-            size = min(1.0, fault.size)
-        if fault.kind in ("stuck_on", "leaking"):
-            floor[at] = size
-        else:
-            gain[at] = 1.0 - size
-    return gain, floor
 
 
 class ThrusterSet:
@@ -222,6 +204,7 @@ class FiredThrusters(BaseActuator):
     title = "Thrusters"
     section = "Actuators"
     about = ""
+    fails_as, fault_kinds = "thrusters", THRUSTER_FAULTS
     settings: Thrusters
     units: Mapping[str, Thruster]
 
@@ -232,11 +215,10 @@ class FiredThrusters(BaseActuator):
         return None if settings is None else cls(settings=settings, units=thrusters_of(settings))
 
     @classmethod
-    def known_faults(cls, scenario: Scenario, coordinates: Coordinates) -> Mapping[str, list[str]]:
-        """Possible faults of every thruster."""
+    def failing_units(cls, scenario: Scenario, coordinates: Coordinates) -> Sequence[str]:
+        """Every thruster."""
         part = cls.of(scenario)
-        kinds = ["stuck_on", "stuck_off", "leaking", "weak"]
-        return {} if part is None else {f"thrusters.{name}": kinds for name in part.units}
+        return () if part is None else [*part.units]
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Forces, open valves, and what of the commanded wrench they could give."""

@@ -19,8 +19,12 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.products import length
-from ffsm_drake.scenario import Wheels
+from ffsm_drake.scenario import FaultKind, Wheels
 
+WHEEL_STOPS = FaultKind(
+    name="stops",
+    effect="the motor fails, and the bearing stops the wheel with the wheel's `torque_limit`",
+)
 _FADES_BELOW = 0.1  # rad/s; Coulomb friction, which jumps at rest otherwise
 _LEAST = 1e-12
 _UNLOADING = 0.5  # largest share of the motors' torque

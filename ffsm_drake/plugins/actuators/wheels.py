@@ -8,7 +8,7 @@ import numpy as np
 
 from ffsm_drake.common.numbers import percent, short
 from ffsm_drake.common.so3 import in_body_axes
-from ffsm_drake.plugins.actuators.wheel_set import WheelSet
+from ffsm_drake.plugins.actuators.wheel_set import WHEEL_STOPS, WheelSet
 from ffsm_drake.scenario import Scenario, Wheels
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import Limit
@@ -35,6 +35,7 @@ class ReactionWheels(BaseActuator):
     title = "Wheels"
     section = "Actuators"
     about = ""
+    fails_as, fault_kinds = "wheels", (WHEEL_STOPS,)
     settings: Wheels
 
     @classmethod
@@ -43,10 +44,9 @@ class ReactionWheels(BaseActuator):
         return None if scenario.wheels is None else cls(settings=scenario.wheels)
 
     @classmethod
-    def known_faults(cls, scenario: Scenario, coordinates: Coordinates) -> Mapping[str, list[str]]:
-        """Any may stop."""
-        units = () if scenario.wheels is None else scenario.wheels.units
-        return {f"wheels.{name}": ["stops"] for name in units}
+    def failing_units(cls, scenario: Scenario, coordinates: Coordinates) -> Sequence[str]:
+        """Every wheel."""
+        return () if scenario.wheels is None else [*scenario.wheels.units]
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Momentum, torque and speed of the wheels, and their torque on the base."""

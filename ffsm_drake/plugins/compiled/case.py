@@ -11,7 +11,6 @@ import numpy as np
 from pydrake.systems.framework import System
 
 from ffsm_drake.common.memo import content_of
-from ffsm_drake.loop.blocks import settle_faults
 from ffsm_drake.plugins.compiled.blocks import kept_at, phases_at, row, sampled_of
 from ffsm_drake.plugins.compiled.kinds import kind_of
 from ffsm_drake.plugins.compiled.noise import Noise, noise_of
@@ -26,6 +25,7 @@ from ffsm_drake.spacecraft.plant import files_read
 from ffsm_drake.spacecraft.start import state_at_start
 from ffsm_drake.systems.controllers import controller_names, make_controller
 from ffsm_drake.systems.disturbance import sines_of
+from ffsm_drake.systems.faults import settle_faults
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_frame_motion, make_motion, prescribes_frame
 from ffsm_drake.systems.registry import Factory

@@ -13,10 +13,12 @@ At each sample it compares measurements with the commands of the actuators:
 A lost position is extrapolated with its velocity, a lost velocity comes from an observer of
 position and reported force, a bias is subtracted (base sensors: in the base's axes). A lost
 thruster or wheel leaves the allocation. A jammed joint, or the loss of a unit essential to the
-allocation, raises ``abort_request``.
+allocation, raises ``abort_request``. A sensor that measures again is read again; actuators stay
+isolated, and an abort stays requested.
 """
 
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -25,7 +27,7 @@ from ffsm_drake.plugins.faults.force_watch import ForceWatch
 from ffsm_drake.plugins.faults.known import KINDS, Memory, units_of
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.faults import detects
-from ffsm_drake.systems.parts.metrics import Figure, Metric
+from ffsm_drake.systems.parts.metrics import Figure, Metric, by_key
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.parts.signals import Signal, View
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
@@ -63,28 +65,56 @@ class FaultDetection(Part):
         )
 
     def metrics(self) -> Sequence[Metric]:
-        """Times of detection."""
+        """Times of detection, and of the ends of faults."""
+        seconds = functools.partial(Metric, unit="s", column="")
         return (
-            Metric(
-                key="faults.noticed", unit="s", label="Detected", column="", of=_noticed,
-            ),
-        )  # fmt: skip
+            seconds(key="faults.noticed", label="Detected", of=_noticed),
+            seconds(key="faults.ended", label="Detected end", of=_ended),
+        )
 
     def sentence(self, figures: Sequence[Figure]) -> str:
         """Detected faults with their times."""
-        (found,) = (each.value for each in figures if each.key == "faults.noticed")
-        assert isinstance(found, dict)
-        listed = ", ".join(f"{name} at {time:.2f} s" for name, time in found.items())
+        found = by_key(figures)
+        noticed, ended = found["faults.noticed"], found["faults.ended"]
+        assert isinstance(noticed, dict)
+        assert isinstance(ended, dict)
+        listed = ", ".join(
+            f"{name} at {time:.2f} s"
+            + (f" (works again since {ended[name]:.2f} s)" if name in ended else "")
+            for name, time in noticed.items()
+        )
         return f"Faults detected: {listed or 'none'}"
 
 
-def _noticed(run: View) -> dict[str, float]:
-    """Unit and kind -> time, s."""
-    found, codes = dict[str, float](), np.asarray(run["fault_detected"])
+def _changes(run: View) -> Iterator[tuple[str, float, bool]]:
+    """Unit and kind, time in s, and whether the fault was detected then; else it ended."""
+    codes = np.asarray(run["fault_detected"])
     for unit, of_unit in zip(units_of(run.scenario, run.coordinates), codes.T, strict=True):
-        for k in np.flatnonzero(np.diff(of_unit, prepend=0.0)):
-            found[f"{unit} {KINDS[int(of_unit[k])]}"] = float(run.time[k])
+        before = np.concatenate([[0.0], of_unit[:-1]])
+        for k in np.flatnonzero(of_unit != before):
+            for code, begins in ((before[k], False), (of_unit[k], True)):
+                if code:
+                    yield f"{unit} {KINDS[int(code)]}", float(run.time[k]), begins
+
+
+def _noticed(run: View) -> dict[str, float]:
+    """Unit and kind -> time of the first detection, s."""
+    found = dict[str, float]()
+    for name, time, begins in _changes(run):
+        if begins:
+            found.setdefault(name, time)
     return dict(sorted(found.items(), key=lambda item: item[1]))
+
+
+def _ended(run: View) -> dict[str, float]:
+    """Unit and kind -> time since which the unit works again, s; without those that do not."""
+    found = dict[str, float]()
+    for name, time, begins in _changes(run):
+        if begins:
+            found.pop(name, None)
+        else:
+            found[name] = time
+    return found
 
 
 class Detector(ForceWatch, Sampled):
@@ -154,12 +184,13 @@ class Detector(ForceWatch, Sampled):
             memory.samples = 0.0
         changes = self._changes(seen, np.column_stack([force, self._pushes(seen)]))
         expected = self._step * changes[:, :, 0] * (not is_first)
-        self._correct(memory, raw, seen, expected[0], is_first=is_first)
+        new = inputs.get(IS_NEW)
+        self._correct(memory, raw, seen, expected[0], new, is_first=is_first)
         if not is_first:
-            self._look_at_sensors(memory, raw, seen, inputs.get(IS_NEW))
-            if self._collect(memory, seen, expected, changes[0, :, 1:]):
-                self._look_at_blocks(memory, changes[0, :, 1:])
+            self._look_at_sensors(memory, raw, seen, new)
         memory.raw[:] = raw
+        if not is_first and self._collect(memory, seen, expected, changes[0, :, 1:]):
+            self._look_at_blocks(memory, changes[0, :, 1:])
 
     def _acting(self, memory: Memory, inputs: Arrays) -> np.ndarray:
         """The force (nv) on the plant in the last sample as reported, with measured wheel torques;

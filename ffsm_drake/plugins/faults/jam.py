@@ -1,53 +1,64 @@
 """Jammed joints: at rest under any force of their drives."""
 
 import dataclasses
-import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from ffsm_drake.common.choice import is_known, may_be
-from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.scenario import FaultKind, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, halves
 from ffsm_drake.spacecraft.nominal import Carrier, PlantModel, make_flexible_plant
 from ffsm_drake.systems.continuous import Continuous
-from ffsm_drake.systems.faults import BreakingPart, first_sample, hits
+from ffsm_drake.systems.faults import BreakingPart, hits
 from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.setup import BlockSetup
 
 _STOPS_IN = 0.02  # s, time constant of the rate as a joint jams
+_ROUNDING = 1e-9  # s, of the times of samples
+JAMMED = FaultKind(
+    name="jammed",
+    effect="the joint stops within about 0.02 s and stays at rest under any torque",
+)
 
 
 class JammedJoints(BreakingPart):
     """Joints affected by ``faults``."""
 
-    title, hit_as = "Jammed joints", "joints"
+    title, fails_as, fault_kinds = "Jammed joints", "joints", (JAMMED,)
 
     @classmethod
-    def known_faults(cls, scenario: Scenario, coordinates: Coordinates) -> Mapping[str, list[str]]:
-        """Any joint may jam."""
-        return {f"joints.{name}": ["jammed"] for name in coordinates.joints}
+    def failing_units(cls, scenario: Scenario, coordinates: Coordinates) -> Iterable[str]:
+        """Every joint."""
+        return coordinates.joints
 
     def build(self, setup: BlockSetup) -> "Jam":
         """The force of the jam."""
-        scenario, coordinates = setup.scenario, setup.coordinates
-        model, since = make_flexible_plant(scenario, setup.grip), dict[str, float]()
-        order = coordinates.joints.index
-        for name, fault in sorted(hits(scenario, "joints"), key=lambda hit: order(hit[0])):
-            time = first_sample(fault, setup.sample_time) * setup.sample_time
-            since[name] = min(time, since.get(name, math.inf))
-        entries = [NUM_BASE_VELOCITIES + coordinates.joints.index(name) for name in since]
-        nv = len(coordinates.names)
+        scenario, coordinates, step = setup.scenario, setup.coordinates, setup.sample_time
+        found = hits(scenario, self.fails_as)
+        jammed = [name for name in coordinates.joints if name in {hit.unit for hit in found}]
+        model, nv = make_flexible_plant(scenario, setup.grip), len(coordinates.names)
+        entries = [NUM_BASE_VELOCITIES + coordinates.joints.index(name) for name in jammed]
         joints = np.array([model.split.whole_velocities(np.eye(nv)[each]) for each in entries]).T
-        times = np.array(list(since.values()))
-        return Jam(model=model, carrier=Carrier(scenario), joints=joints, since=times)
+        return Jam(
+            model=model,
+            carrier=Carrier(scenario),
+            joints=joints,
+            of=np.array([[float(name == hit.unit) for hit in found] for name in jammed]),
+            since=step * np.array([float(hit.occurs.first) for hit in found]),
+            lasts=step * np.array([float(hit.occurs.samples) for hit in found]),
+            period=step * np.array([float(hit.occurs.period) for hit in found]),
+        )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Jam(Continuous):
     """The exact constraint force on jammed joints: it cancels their part of the plant's
     acceleration under all other forces.
+
+    It acts between two links and is finite, so the total momentum is conserved as a jam begins,
+    lasts and ends, and no velocity jumps. The joint is at rest as a jam ends.
 
     Inputs: ``state`` (nq + nv), ``hidden_state``, ``other_force`` (nv), ``time``. Output:
     ``generalized_force`` (nv).
@@ -56,7 +67,10 @@ class Jam(Continuous):
     model: PlantModel
     carrier: Carrier
     joints: np.ndarray  # (plant's velocities, n) directions of the joints
-    since: np.ndarray  # (n) times of their jams, s
+    of: np.ndarray  # (n, m) 1: the fault is of the joint
+    since: np.ndarray  # (m) first times of the faults, s
+    lasts: np.ndarray  # (m) how long each lasts, s
+    period: np.ndarray  # (m) time from one beginning to the next, s
 
     @property
     def inputs(self) -> Mapping[str, int]:
@@ -76,7 +90,7 @@ class Jam(Continuous):
 
     def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
         """See Continuous."""
-        are_held, force = inputs["time"] > self.since - 1e-9, np.zeros_like(inputs["other_force"])
+        are_held, force = self._are_held(inputs["time"]), np.zeros_like(inputs["other_force"])
         if not may_be(are_held):
             return {"generalized_force": force}, {}
         joints = self.joints
@@ -84,6 +98,13 @@ class Jam(Continuous):
             joints, are_held = joints[:, are_held], are_held[are_held]
         force = self.model.split.known_velocities(joints @ self._along(inputs, joints, are_held))
         return {"generalized_force": force}, {}
+
+    def _are_held(self, time: np.ndarray) -> Any:
+        """Whether each joint (n) is jammed at a time (1), s."""
+        elapsed = time - self.since + _ROUNDING
+        are_there = (elapsed > 0.0) & (np.remainder(elapsed, self.period) < self.lasts)
+        held: np.ndarray = (self.of * np.where(are_there, 1.0, 0.0)).sum(axis=1) > 0.0
+        return held
 
     def _along(self, inputs: Arrays, joints: np.ndarray, are_held: Any) -> np.ndarray:
         """The force (n) along joints that are jammed, or may be."""

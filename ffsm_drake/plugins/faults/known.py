@@ -13,20 +13,21 @@ from ffsm_drake.plugins.actuators.base import LOST, STUCK_ON
 from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.plugins.actuators.row import make_base_actuators
+from ffsm_drake.plugins.actuators.thruster_faults import THRUSTER_FAULTS
+from ffsm_drake.plugins.actuators.wheel_set import WHEEL_STOPS
 from ffsm_drake.plugins.estimators.assumed_noise import assumed_noise
-from ffsm_drake.plugins.faults.sensors import sensors_of
+from ffsm_drake.plugins.faults.jam import JAMMED
+from ffsm_drake.plugins.faults.sensors import SENSOR_FAULTS, reports_losses, sensors_of
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, damping_of, make_nominal_plant
 from ffsm_drake.spacecraft.orbit import Orbit
-from ffsm_drake.systems.faults import hits
 from ffsm_drake.systems.sensing.errors import measurement_times
 from ffsm_drake.systems.setup import BlockSetup
 
-KINDS = (
-    *("", "stuck_on", "stuck_off", "leaking", "weak", "stops", "jammed"),
-    *("frozen", "silent", "biased"),
-)
+_FAULTS = (*THRUSTER_FAULTS, WHEEL_STOPS, JAMMED, *SENSOR_FAULTS)
+# lost samples at random are reported as silence
+KINDS = ("", *(kind.name for kind in _FAULTS if not kind.at_random))
 CODE = {kind: float(code) for code, kind in enumerate(KINDS)}
 # control samples of a block; blocks that are kept; looks until a slope is known
 EVERY, KEPT, OLD = 5, 61, 20
@@ -161,8 +162,7 @@ class Known:
         self._is_fine = np.concatenate(quantized) == 0.0
         self._position_noise = self._position_noise + quantized[0]
         self._velocity_noise = self._velocity_noise + quantized[1]
-        silent = any(fault.kind == "silent" for _, fault in hits(scenario, "sensing"))
-        self._may_be_old = silent or bool((period > 1).any())
+        self._may_be_old = reports_losses(scenario) or bool((period > 1).any())
         self._sees_forces = bool(self._is_prompt.all())
 
     def _lay_out(self) -> None:

@@ -1,12 +1,12 @@
-"""Sensors that break: frozen, biased or silent.
+"""Sensors that break. ``SENSOR_FAULTS`` lists the kinds; ``SensorFault.shown`` is what they show.
 
-A bias of the base's sensors is in the base's axes. A frozen or silent sensor repeats its last
-measurement, in world axes.
+A bias of the base's sensors is in the base's axes. A sensor that repeats its last measurement does
+so in world axes.
 """
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,9 +14,9 @@ import numpy as np
 from ffsm_drake.common.choice import choose
 from ffsm_drake.common.so3 import composed, matrix_of, quaternion_of
 from ffsm_drake.plugins.estimators.assumed_noise import assumed_noise
-from ffsm_drake.scenario import Fault, Scenario
+from ffsm_drake.scenario import FaultKind, Scenario
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, Coordinates
-from ffsm_drake.systems.faults import BreakingPart, first_sample, hits
+from ffsm_drake.systems.faults import BreakingPart, Hit, Occurrence, hits
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 from ffsm_drake.systems.sensing.block import IS_NEW
 from ffsm_drake.systems.setup import BlockSetup
@@ -46,24 +46,65 @@ def entries_in_state(entries: np.ndarray) -> np.ndarray:
     return np.arange(4) if entries[0] == 0 else entries + 1
 
 
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SensorFaultKind(FaultKind):
+    """A kind of fault of a sensor."""
+
+    repeats: bool = False  # the sensor repeats its last measurement,
+    reports: bool = False  # and reports that there is no new one
+    is_biased: bool = False
+
+
+SENSOR_FAULTS = (
+    SensorFaultKind(name="frozen", effect="the last measurement is repeated", repeats=True),
+    SensorFaultKind(
+        name="silent",
+        effect="as `frozen`, but the sensor reports that there is no new measurement",
+        repeats=True,
+        reports=True,
+    ),
+    SensorFaultKind(
+        name="biased",
+        effect="a constant error of length `size` (rad, m, rad/s, m/s), with equal parts in all "
+        "axes",
+        size="the bias",
+        is_biased=True,
+    ),
+    SensorFaultKind(
+        name="dropout",
+        effect="as `silent`, at the share `size` of the control samples, at random",
+        size="share of the samples that are lost",
+        is_share=True,
+        default=0.5,
+        at_random=True,
+        repeats=True,
+        reports=True,
+    ),
+)
+
+
+def reports_losses(scenario: Scenario) -> bool:
+    """Whether a sensor of a settled scenario reports lost measurements."""
+    return any(hit.kind.reports for hit in hits(scenario, FaultySensors.fails_as))
+
+
 class FaultySensors(BreakingPart):
     """Sensors affected by ``faults``: the last stage of the section ``sensing``."""
 
-    title, hit_as = "Faulty sensors", "sensing"
+    title, fails_as, fault_kinds = "Faulty sensors", "sensing", SENSOR_FAULTS
 
     @classmethod
-    def known_faults(cls, scenario: Scenario, coordinates: Coordinates) -> Mapping[str, list[str]]:
-        """Any sensor may freeze, get a bias, or fall silent."""
-        kinds = ["frozen", "biased", "silent"]
-        return {f"sensing.{name}": kinds for name in sensors_of(coordinates)}
+    def failing_units(cls, scenario: Scenario, coordinates: Coordinates) -> Iterable[str]:
+        """Every sensor."""
+        return sensors_of(coordinates)
 
     def build(self, setup: BlockSetup) -> "SensorFaults":
         """The stage."""
-        found = hits(setup.scenario, "sensing")
+        found = hits(setup.scenario, self.fails_as)
         return SensorFaults(
-            faults=tuple(SensorFault.of(setup, name, fault) for name, fault in found),
+            faults=tuple(SensorFault.of(setup, hit) for hit in found),
             size=2 * len(setup.coordinates.names) + 1,
-            notices=any(fault.kind == "silent" for _, fault in found),
+            notices=reports_losses(setup.scenario),
         )
 
 
@@ -71,25 +112,23 @@ class FaultySensors(BreakingPart):
 class SensorFault:
     """A fault of a sensor, as vectors along [q; v] (nq + nv)."""
 
-    first: int  # control sample with it
+    occurs: Occurrence
     kept: np.ndarray  # 1: it repeats the last measurement
     silent: np.ndarray  # 1: with a notice
     biased: np.ndarray  # 1: it has a bias
     turn: np.ndarray  # (4) the attitude's, a quaternion
     bias: np.ndarray  # the others', of vectors in the base's axes
-    in_phase: ClassVar = ("first",)
+    in_phase: ClassVar = ("occurs",)
 
     @classmethod
-    def of(cls, setup: BlockSetup, name: str, fault: Fault) -> "SensorFault":
-        """Return a fault of the sensor of this name."""
-        sensor = sensors_of(setup.coordinates)[name]
+    def of(cls, setup: BlockSetup, hit: Hit) -> "SensorFault":
+        """Return a fault of a sensor."""
+        sensor, kind = sensors_of(setup.coordinates)[hit.unit], hit.kind
         entries, size = entries_in_state(sensor), 2 * len(setup.coordinates.names) + 1
-        masks = dict[str, np.ndarray]()
-        for mask, kinds in (("kept", "frozen silent"), ("silent", "silent"), ("biased", "biased")):
-            masks[mask] = np.zeros(size)
-            masks[mask][entries] = fault.kind in kinds.split()
-        offset = fault.size
-        if offset is None:
+        own = np.zeros(size)
+        own[entries] = 1.0
+        offset = hit.size
+        if offset is None or not kind.is_biased:
             noise = np.concatenate(assumed_noise(setup.scenario, setup.coordinates))
             offset = max(_LEAST_BIAS, _NOISES * float(noise[sensor].max()))
         off = np.full(sensor.size, offset / np.sqrt(sensor.size))
@@ -98,8 +137,14 @@ class SensorFault:
             turn = quaternion_of(off)
         else:
             bias[entries] = off
-        first = first_sample(fault, setup.sample_time)
-        return cls(first=first, turn=turn, bias=bias, **masks)
+        return cls(
+            occurs=hit.occurs,
+            kept=own * kind.repeats,
+            silent=own * kind.reports,
+            biased=own * kind.is_biased,
+            turn=turn,
+            bias=bias,
+        )
 
     def shown(self, state: np.ndarray, held: np.ndarray, true: np.ndarray) -> np.ndarray:
         """What the sensors show (nq + nv).
@@ -141,7 +186,7 @@ class SensorFaults(Sampled):
 
     def phase(self, sample: Any) -> Sequence[Any]:
         """See Sampled."""
-        return [sample >= fault.first for fault in self.faults]
+        return [fault.occurs.at(sample) for fault in self.faults]
 
     def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
         """See Sampled."""

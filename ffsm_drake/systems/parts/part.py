@@ -7,14 +7,14 @@ stand-in in the linearisation.
 """
 
 import functools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, ClassVar
 
 from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.guard import is_user_supplied
-from ffsm_drake.scenario import Grip, Scenario
+from ffsm_drake.scenario import FaultKind, Grip, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -94,6 +94,8 @@ class Part:
     title: ClassVar[str] = ""  # heading of its rows and panels; "": the class's name
     section: ClassVar[str] = "Parts"  # section of the report for its panels
     about: ClassVar[str] = "Signals of the user-supplied parts."  # "": the text of ``sentence``
+    fails_as: ClassVar[str] = ""  # the part in a unit of ``faults``, such as "thrusters"
+    fault_kinds: ClassVar[Sequence[FaultKind]] = ()
     logged: tuple[str, ...] = ()  # held outputs that are in the log of a run, not in its record
 
     @classmethod
@@ -106,11 +108,9 @@ class Part:
         return self
 
     @classmethod
-    def known_faults(
-        cls, scenario: Scenario, coordinates: Coordinates
-    ) -> Mapping[str, Sequence[str]]:
-        """Possible faults: "<part>.<unit>" -> kinds."""
-        return {}
+    def failing_units(cls, scenario: Scenario, coordinates: Coordinates) -> Iterable[str]:
+        """Names of the units that can fail, each in all ``fault_kinds``."""
+        return ()
 
     def check(self, key: str, scenario: Scenario) -> Iterator[tuple[str, str]]:
         """Problems with combinations of settings: key and problem."""

@@ -131,7 +131,7 @@ def wheels(random):
         *(f"{units}.wheel_{k}.coulomb_friction={random.uniform(0, 0.02):.4f}" for k in range(1, 5)),
         f"{units}.wheel_2.torque_limit={random.uniform(0.01, 0.3):.3f}",
     ]
-    kind = "faults.events={stop: {unit: wheels, kind: stops, time: [%s]}}"
+    kind = "faults.events={stop: {unit: wheels, kind: stops, time: %s, duration: 0.08}}"
     stops = [[kind % time] for time in (0.04, 0.11)] if random.random() < 0.5 else [[], []]
     return "thrusters_and_wheels", same, [*stops, *stops[:1]]
 
@@ -192,7 +192,9 @@ def flexible_joints(random):
 
 
 def broken_parts(random):
-    """Sensors, joints, wheels and thrusters with any fault, at a time that the seed draws."""
+    """Sensors, joints, wheels and thrusters with any fault, at a time that the seed draws: to the
+    end, for a while, or again and again.
+    """
     bases = {
         "flight_sensors": [], "slow_navigation": [], "flexible_panels": [FAST],
         "thrusters_and_wheels": [],
@@ -200,8 +202,9 @@ def broken_parts(random):
     name = str(random.choice(list(bases)))
     units = ["sensing", "joints", *(["wheels", "thrusters"] if "wheels" in name else [])]
     chosen = [str(unit) for unit in random.choice(units, size=random.integers(1, 4))]
+    spans = ["", ", duration: 0.05", ", duration: 0.025, period: 0.06"]
     events = [
-        f"faults.events.event_{k}={{unit: {unit}, time: [0.0, 0.3]}}"
+        f"faults.events.event_{k}={{unit: {unit}, time: [0.0, 0.3]{random.choice(spans)}}}"
         for k, unit in enumerate(chosen)
     ]
     return name, [*bases[name], *events, "duration=0.4"], [[f"random_seed={k}"] for k in range(3)]

@@ -46,7 +46,9 @@ def thrusters(random):
         f"actuation.delay={random.integers(2)}",
         f"sensing.velocity_noise.base_position={random.choice([0.001, 0.01])}",
     ]
-    fault = "faults.events={{one: {{unit: thrusters.{}, kind: {}, time: [0.0, 0.2]}}}}"
+    span = random.choice(["", ", duration: 0.07", ", duration: 0.03, period: 0.1"])
+    event = "unit: thrusters.{}, kind: {}, time: [0.0, 0.2]" + span
+    fault = f"faults.events={{{{one: {{{{{event}}}}}}}}}"
     kinds = random.choice(["stuck_on", "stuck_off", "leaking", "weak"], size=3)
     breaks = random.random() < 0.5
     each = []
@@ -137,9 +139,10 @@ def test_the_compiled_allocation_is_that_of_the_tables(seed):
 def test_faults_of_many_samples_are_those_of_each(seed):
     random, names = np.random.default_rng(seed), ["a_x", "b_y", "c_z"]
     kinds = ["stuck_on", "stuck_off", "leaking", "weak"]
+    spans = ["", ", duration: 0.07", ", duration: 0.03, period: 0.1"]
     events = [
         f"e{k}: {{unit: thrusters.{random.choice(names)}, kind: {random.choice(kinds)}, "
-        f"time: [{random.uniform(0, 0.3):.3f}]}}"
+        f"time: {random.uniform(0, 0.3):.3f}{random.choice(spans)}}}"
         for k in range(random.integers(1, 4))
     ]
     scenario = load_scenario(

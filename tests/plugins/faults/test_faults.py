@@ -18,7 +18,6 @@ from ffsm_drake import (
     simulate_many,
     stability,
 )
-from ffsm_drake.loop.blocks import settle_faults
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.runs.limits import run_remarks
@@ -26,6 +25,7 @@ from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Fault, Faults, thrusters_of
 from ffsm_drake.spacecraft.coordinates import position_error
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.faults import settle_faults
 
 TIME = 0.2  # s
 NAME = "thrusters_and_wheels"

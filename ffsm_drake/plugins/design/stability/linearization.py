@@ -18,7 +18,7 @@ import numpy as np
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.memo import content_of
-from ffsm_drake.loop.blocks import is_rehearsed, parts_of, settle_faults
+from ffsm_drake.loop.blocks import is_rehearsed, parts_of
 from ffsm_drake.plugins.actuators.mean import make_mean_actuation
 from ffsm_drake.plugins.design.stability.drake_sample import DrakeSample
 from ffsm_drake.plugins.design.stability.linear_loop import (
@@ -37,6 +37,7 @@ from ffsm_drake.plugins.design.stability.sampled_loop import (
 from ffsm_drake.scenario import EMPTY, Grip, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.systems.faults import settle_faults
 from ffsm_drake.systems.reference import make_motion, timed
 from ffsm_drake.systems.registry import Factory
 
