@@ -39,8 +39,7 @@ def memoized(
             keyed = {name: value for name, value in kwargs.items() if name != besides}
             read = None if files is None else files(args[0])
             call = _Call(content_of((args, keyed, read)), args, kwargs)
-            result: R = _mapped(kept(call), np.ndarray.view)
-            return result
+            return _mapped(kept(call), np.ndarray.view)
 
         return memo
 

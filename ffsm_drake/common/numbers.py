@@ -71,5 +71,4 @@ def usable(values: np.ndarray) -> np.ndarray:
     throughout.
     """
     within = np.abs(values) < LARGEST  # false for NaN too
-    every: np.ndarray = within.all(axis=tuple(range(1, within.ndim)))
-    return every
+    return within.all(axis=tuple(range(1, within.ndim)))

@@ -19,8 +19,7 @@ def condensed(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.nd
     rows = matrix[..., others, :]
     across = rows[..., kept]
     following = np.linalg.solve(rows[..., others], across)
-    found: np.ndarray = matrix[..., kept[:, None], kept] - product(across.mT, following)
-    return found
+    return matrix[..., kept[:, None], kept] - product(across.mT, following)
 
 
 def applied(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
@@ -32,8 +31,7 @@ def times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Products of matrices (..., m, n) and vectors (..., n), one by one."""
     if vector.ndim == 1:
         return matrix.dot(vector)  # the same, and faster on few numbers
-    product: np.ndarray = np.matmul(matrix, vector[..., None])[..., 0]
-    return product
+    return np.matmul(matrix, vector[..., None])[..., 0]
 
 
 def length(vector: np.ndarray) -> np.ndarray:

@@ -192,14 +192,12 @@ def attitude_motion(
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a x b for arrays (3, ...)."""
-    found: np.ndarray = a[_NEXT] * b[_LAST] - a[_LAST] * b[_NEXT]
-    return found
+    return a[_NEXT] * b[_LAST] - a[_LAST] * b[_NEXT]
 
 
 def cross_of(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """a x b (..., 3); several times as fast as NumPy's."""
-    found: np.ndarray = a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
-    return found
+    return a[..., _NEXT] * b[..., _LAST] - a[..., _LAST] * b[..., _NEXT]
 
 
 def eigenaxis_motion(
@@ -305,5 +303,4 @@ def vector_of(quaternion: np.ndarray) -> np.ndarray:
     turn = np.where(quaternion[..., :1] < 0.0, -quaternion, quaternion)
     sine = np.linalg.norm(turn[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, turn[..., :1])
-    found: np.ndarray = turn[..., 1:] * (angle / np.maximum(sine, 1e-300))
-    return found
+    return turn[..., 1:] * (angle / np.maximum(sine, 1e-300))

@@ -294,8 +294,7 @@ def factory_of(name: str, scenario: Scenario, given: Any = None) -> Factory:
         given = find_factory(kind_of(name), choice.system, key=key, python_path=path)
     kind = given if isinstance(given, type) else type(given)
     if not issubclass(kind, Part):
-        found: Factory = given
-        return found
+        return given
 
     def valid() -> Part:
         part: Part = given
@@ -305,8 +304,7 @@ def factory_of(name: str, scenario: Scenario, given: Any = None) -> Factory:
         require_valid(part, f"{key}.settings", scenario)
         return part
 
-    part: Part = calling(f"{key} '{kind.__name__}'", valid, did="cannot be built")
-    return part
+    return calling(f"{key} '{kind.__name__}'", valid, did="cannot be built")
 
 
 def parts_of(scenario: Scenario, given: Mapping[str, Any] | None = None) -> dict[str, Part]:

@@ -174,8 +174,7 @@ class ClosedLoop:
     def whole_state(self, root_context: Context) -> np.ndarray:
         """Return the plant's own [q; v] (nq + nv)."""
         context = self.plant.GetMyContextFromRoot(root_context)
-        state: np.ndarray = self.plant.GetPositionsAndVelocities(context)
-        return state
+        return self.plant.GetPositionsAndVelocities(context)
 
     def set_blocks(self, root_context: Context, state: np.ndarray) -> None:
         """Reset the blocks, without history, to a known state [q; v]."""

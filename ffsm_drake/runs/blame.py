@@ -94,8 +94,7 @@ def _right(values: np.ndarray, is_state: bool) -> np.ndarray:
     """Whether each of some outputs (n, size) can be used."""
     finite = np.isfinite(values).all(axis=1)
     norm = np.linalg.norm(values[:, :4], axis=1) if is_state else np.ones(len(values))
-    right: np.ndarray = finite & (np.abs(norm - 1.0) <= _UNIT)
-    return right
+    return finite & (np.abs(norm - 1.0) <= _UNIT)
 
 
 def _problem(block: str, name: str, value: np.ndarray, is_state: bool) -> str:

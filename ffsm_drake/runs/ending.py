@@ -181,8 +181,7 @@ def _largest_by_unit(errors: np.ndarray, units: Sequence[str]) -> str:
 def _peaks(size: np.ndarray, time: np.ndarray, end: float, length: float) -> np.ndarray:
     """Return the largest of each column (k) over the samples from ``end - length`` to ``end``."""
     chosen = (time >= end - length - 1e-9) & (time <= end + 1e-9)
-    peaks: np.ndarray = size[chosen].max(axis=0, initial=0.0)
-    return peaks
+    return size[chosen].max(axis=0, initial=0.0)
 
 
 def _growing(size: np.ndarray, time: np.ndarray, *, begin: float, notable: float) -> np.ndarray:

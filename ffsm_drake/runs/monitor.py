@@ -41,8 +41,7 @@ class Monitor:
     def bounded(self, states: np.ndarray) -> np.ndarray:
         """Whether every velocity of each known state [q; v] is within the bound."""
         # false for NaN too
-        within: np.ndarray = np.abs(states[..., self._first_velocity :]).max(axis=-1) <= self._bound
-        return within
+        return np.abs(states[..., self._first_velocity :]).max(axis=-1) <= self._bound
 
     def check(self, context: Context) -> bool:
         """True if every velocity is within the bound; otherwise ``message`` and ``coordinate`` are

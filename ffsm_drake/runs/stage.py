@@ -62,8 +62,7 @@ class Stage:
 
     def memory(self, block: str) -> Arrays:
         """Return the memory of a ``Sampled`` block."""
-        found: Arrays = self.loop.blocks[block].memory(self.context(block))
-        return found
+        return self.loop.blocks[block].memory(self.context(block))
 
     def remember(self, block: str, memory: Arrays) -> None:
         """Set the memory of a ``Sampled`` block, and its held outputs to zero."""
@@ -90,5 +89,4 @@ class Stage:
         self.loop.resume(self.root, before.loop, before.root, reference, afresh=afresh)
 
     def _output(self, name: str) -> np.ndarray:
-        found: np.ndarray = self.loop.diagram.GetOutputPort(name).Eval(self.root)
-        return found
+        return self.loop.diagram.GetOutputPort(name).Eval(self.root)

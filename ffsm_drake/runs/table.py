@@ -74,8 +74,7 @@ class Values:
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return the values of a variable."""
-        values: np.ndarray = self.data[name].values
-        return values
+        return self.data[name].values
 
 
 def coordinate_columns(coordinates: Coordinates) -> dict[str, Given]:

@@ -62,8 +62,7 @@ def scenario_from_dict(
 ) -> Scenario:
     """Build a scenario from plain data (as read from YAML or JSON)."""
     layers = file_layers(data, source) + override_layers(overrides)
-    scenario: Scenario = assembled(Scenario, layers)
-    return scenario
+    return assembled(Scenario, layers)
 
 
 def place_of(key: str, name_or_path: str | Path, overrides: Iterable[Override] = ()) -> str:
@@ -80,8 +79,7 @@ def place_of(key: str, name_or_path: str | Path, overrides: Iterable[Override] =
 
 def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
     """Return the whole scenario as plain data, which ``scenario_from_dict`` accepts unchanged."""
-    data: dict[str, Any] = as_dict(scenario)
-    return data
+    return as_dict(scenario)
 
 
 def differing_keys(*scenarios: Scenario) -> list[str]:

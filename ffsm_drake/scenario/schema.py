@@ -217,8 +217,7 @@ class Scenario:
           ScenarioError: a key or a value cannot be used.
         """
         layers = [Layer(as_dict(self), ""), *override_layers([changes])]
-        changed: Scenario = assembled(Scenario, layers)
-        return changed
+        return assembled(Scenario, layers)
 
     @property
     def num_control_periods(self) -> int:

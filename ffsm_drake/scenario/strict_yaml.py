@@ -128,8 +128,7 @@ def write_yaml(data: Any, **layout: Any) -> str:
     """Plain data as YAML text that ``read_yaml`` reads back unchanged; layout options are
     PyYAML's.
     """
-    text: str = yaml.dump(data, Dumper=_Dumper, sort_keys=False, **layout)
-    return text
+    return yaml.dump(data, Dumper=_Dumper, sort_keys=False, **layout)
 
 
 def _described(error: yaml.MarkedYAMLError) -> str:

@@ -91,8 +91,7 @@ def panel_data(chart: Chart, points: int) -> Json:
             "range": [len(chart.rows) - 0.4, -0.6], "showgrid": False, "zeroline": False,
         }  # fmt: skip
     traces = [*chart.traces, *(_trace(curve, points) for curve in chart.curves)]
-    figure: Json = go.Figure(traces, layout).to_plotly_json()
-    return figure
+    return go.Figure(traces, layout).to_plotly_json()
 
 
 def _escaped(text: str) -> str:

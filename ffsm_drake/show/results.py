@@ -78,8 +78,7 @@ class Result:
     @property
     def time(self) -> np.ndarray:
         """Control samples (n), s."""
-        values: np.ndarray = self.record.dataset["time"].values
-        return values
+        return self.record.dataset["time"].values
 
     @property
     def units(self) -> dict[str, str]:
@@ -125,8 +124,7 @@ def values_of(record: RunRecord, name: str) -> np.ndarray | None:
     """Return a variable of the record; None if it has none or no sample."""
     if name not in record.dataset or record.dataset.sizes.get("time", 0) == 0:
         return None
-    values: np.ndarray = record.dataset[name].values
-    return values
+    return record.dataset[name].values
 
 
 def attempt(

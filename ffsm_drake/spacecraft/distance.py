@@ -151,8 +151,7 @@ class Solids:
         i, j = pairs.T
         gaps = np.abs(self._centres[i] - self._centres[j]) - self._halves[i] - self._halves[j]
         outside = np.sqrt((np.maximum(gaps, 0.0) ** 2).sum(axis=1))
-        found: np.ndarray = outside + np.minimum(gaps.max(axis=1), 0.0) - _GROWN
-        return found
+        return outside + np.minimum(gaps.max(axis=1), 0.0) - _GROWN
 
 
 def _thick(vertices: np.ndarray) -> np.ndarray:

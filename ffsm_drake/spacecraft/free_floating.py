@@ -83,8 +83,7 @@ class FreeFloating:
             self.mass_matrix[..., :3, :],
             self.mass_matrix[..., 3:NUM_BASE_VELOCITIES, :],
         )
-        spin: np.ndarray = turning - np.cross(self.center_of_mass[..., None], moving, axis=-2)
-        return spin
+        return turning - np.cross(self.center_of_mass[..., None], moving, axis=-2)
 
     @functools.cached_property
     def following(self) -> np.ndarray:
@@ -168,8 +167,7 @@ class FreeFloating:
         """
         own = self.mass_matrix[..., self.undriven[:, None], self.undriven]
         following = np.linalg.solve(own, bias[..., self.undriven, None])[..., 0]
-        result: np.ndarray = frame_bias - applied(jacobian[..., self.undriven], following)
-        return result
+        return frame_bias - applied(jacobian[..., self.undriven], following)
 
     def reaction_null_space(self, held: Sequence[str] = ("base_rotation",)) -> np.ndarray:
         """Projector N (..., na, na): at zero momentum v_a = N z keeps the held coordinates at rest.

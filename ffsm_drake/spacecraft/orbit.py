@@ -26,8 +26,7 @@ def turned_axes(first: np.ndarray, rate: Any, time: Any) -> np.ndarray:
     Args: the axes at the start, the mean motion in rad/s, and the time.
     """
     c, s = np.cos(rate * time), np.sin(rate * time)
-    turned: np.ndarray = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ first
-    return turned
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ first
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -56,8 +55,7 @@ class Orbit:
     def _up(self, time: float | np.ndarray) -> np.ndarray:
         """Hill's first axis (..., 3), from the Earth's centre outwards, at times (...)."""
         angle = np.stack([self.rate * time], axis=-1)
-        up: np.ndarray = np.cos(angle) * self.first[0] + np.sin(angle) * self.first[1]
-        return up
+        return np.cos(angle) * self.first[0] + np.sin(angle) * self.first[1]
 
     def tide(self, position: np.ndarray, time: float | np.ndarray) -> np.ndarray:
         """Acceleration (..., 3) at positions (..., 3) from W's origin, m/s^2."""
@@ -65,8 +63,7 @@ class Orbit:
             return np.zeros_like(position)
         up = self._up(time)
         along = (position * up).sum(axis=-1, keepdims=True) * up
-        tide: np.ndarray = self.rate**2 * (3.0 * along - position)
-        return tide
+        return self.rate**2 * (3.0 * along - position)
 
     def gradient(self, R: np.ndarray, inertia: np.ndarray, time: float | np.ndarray) -> np.ndarray:
         """Torque (..., 3) in the axes of bodies with attitudes R (..., 3, 3) by their inertia in
@@ -75,5 +72,4 @@ class Orbit:
         if not self.gravity_gradient:
             return np.zeros(R.shape[:-1])
         up = (self._up(time)[..., None, :] @ R)[..., 0, :]
-        torque: np.ndarray = 3.0 * self.rate**2 * np.cross(up, (inertia @ up[..., None])[..., 0])
-        return torque
+        return 3.0 * self.rate**2 * np.cross(up, (inertia @ up[..., None])[..., 0])

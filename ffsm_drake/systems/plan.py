@@ -75,8 +75,7 @@ class Plan:
         marks = np.r_[self.duration * self.knots, [self.end] * (self.settle > 0.0)]
         count = len(marks) - 1
         parts = np.linspace(0.0, count, count * per_segment + 1)
-        times: np.ndarray = np.interp(parts, np.arange(count + 1), marks)
-        return times
+        return np.interp(parts, np.arange(count + 1), marks)
 
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,), s."""

@@ -152,8 +152,7 @@ def section_kind(name: str) -> type[Part]:
     own: dict[str, str] = SHIPPED["section"]
     if name not in own:
         return PARTS.load(name, f"the scenario's section '{name}'")
-    kind: type[Part] = _load(own[name], name, ())
-    return kind
+    return _load(own[name], name, ())
 
 
 def section_kinds() -> Iterator[type[Part]]:
@@ -215,8 +214,7 @@ def find_factory(
         raise failure(error, place, did="cannot be loaded") from error
     if not callable(factory):
         raise BlockError(f"{place} must be a class or function, not {type(factory).__name__}")
-    checked: Factory = factory
-    return checked
+    return factory
 
 
 def address_of(factory: Factory) -> str:

@@ -236,8 +236,7 @@ class SampledSystem(DividedSystem):
     @property
     def block(self) -> Sampled:
         """The block."""
-        found: Sampled = self._own.block
-        return found
+        return self._own.block
 
     def memory(self, context: Context) -> Arrays:
         """Return a copy of the block's memory."""
