@@ -19,6 +19,8 @@ import os
 import signal
 import time
 
+from ffsm_drake.common.processes import kill_below
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -45,8 +47,8 @@ class Interrupts:
         self.waiting = 0  # the pending signal
         self.words: list[str] = []  # of the command that goes on, if it is another one
         self._last = -1.0  # time of the last signal
-        self._left: dict[Path, bool] = {}  # to remove; True: folders, where they are empty
-        self._pid = os.getpid()
+        self.left: dict[Path, bool] = {}  # to remove; True: folders, where they are empty
+        self.pid = os.getpid()
         self.spared = set[int]()  # processes below this one that are not killed
         self._pipe = -1
 
@@ -73,7 +75,7 @@ class Interrupts:
 
     def end(self, number: int) -> None:
         """End this process now, with those below it."""
-        self._clear()
+        self.clear()
         _say(self.last_words())
         os._exit(128 + number)
 
@@ -89,13 +91,13 @@ class Interrupts:
     def leave_none(self, paths: "Iterable[Path]", *, empty: bool = False) -> None:
         """Remove files and folders, or folders that are ``empty``, at a sudden end."""
         for path in [path.absolute() for path in paths]:
-            self._left[path] = empty
+            self.left[path] = empty
             self.tell(b"/" if empty else b"+", path)
 
     def keep(self, paths: "Iterable[Path]") -> None:
         """Undo ``leave_none``."""
         for path in [path.absolute() for path in paths]:
-            self._left.pop(path, None)
+            self.left.pop(path, None)
             self.tell(b"-", path)
 
     def watch(self) -> None:
@@ -109,7 +111,7 @@ class Interrupts:
         if watcher == 0:  # the signals remain blocked
             try:
                 os.close(writing)
-                self._be_watcher(reading)
+                _Watcher(self, reading).follow()
             finally:
                 os._exit(0)
         os.close(reading)
@@ -124,8 +126,8 @@ class Interrupts:
         """Forget what is the parent's."""
         signal.set_wakeup_fd(-1)
         os.close(self._pipe)
-        self._pipe, self._pid = -1, os.getpid()
-        self._left.clear()
+        self._pipe, self.pid = -1, os.getpid()
+        self.left.clear()
 
     def tell(self, kind: bytes, text: "str | Path") -> None:
         """Tell the watcher."""
@@ -134,120 +136,100 @@ class Interrupts:
             with contextlib.suppress(OSError):
                 os.write(self._pipe, message)
 
-    def _be_watcher(self, pipe: int) -> None:
-        """Follow the parent to its end, or bring that about."""
-        import select
-        from pathlib import Path
+    def clear(self) -> None:
+        """Kill the processes below, and remove what is unfinished."""
+        kill_below(self.pid, but=self.spared)
+        left = [*self.left.items()]  # empty ones last, innermost first
+        for path, empty in sorted(left, key=lambda each: (each[1], -len(each[0].parts))):
+            _remove(path, empty=empty)
 
-        self.spared.add(os.getpid())
-        # the first signal, its time, the end of the parent's time, what is left of a message
-        number, begun, end, rest = 0, 0.0, 0.0, b""
-        said = repeated = False
+
+class _Watcher:
+    """The second process: it follows the signals and messages of the first."""
+
+    def __init__(self, of: Interrupts, pipe: int) -> None:
+        """Args: the handler as it was at the fork; the pipe that it writes to."""
+        self._of, self._pipe = of, pipe
+        self._number = 0  # the first signal
+        self._begun = self._end = 0.0  # its time, and the end of the first process's time
+        self._rest = b""  # of a message
+        self._said = self._repeated = False
+
+    def follow(self) -> None:
+        """Follow the first process to its end, or bring that about."""
+        import select
+
+        self._of.spared.add(os.getpid())
         while True:
-            now = time.monotonic()
-            due = end if said else begun + _SILENCE
-            if select.select([pipe], [], [], max(0.0, due - now) if number else None)[0]:
-                if not (more := os.read(pipe, 1 << 16)):
+            due = self._end if self._said else self._begun + _SILENCE
+            patience = max(0.0, due - time.monotonic()) if self._number else None
+            if select.select([self._pipe], [], [], patience)[0]:
+                if not (more := os.read(self._pipe, 1 << 16)):
                     return  # it has ended
-                rest += more
-            elif os.getppid() != self._pid:
+                self._read(self._rest + more)
+            elif os.getppid() != self._of.pid:
                 return
-            elif not said:
-                said = True
+            elif not self._said:
+                self._said = True
                 _say(
                     f"ending: the present step has {GRACE:.0f} s to finish; a second signal "
                     "ends it at once"
                 )
-            elif not repeated:
-                said = repeated = True
-                end = time.monotonic() + _AT_ONCE
-                os.kill(self._pid, number)
+            elif not self._repeated:
+                self._repeated = True
+                self._end = time.monotonic() + _AT_ONCE
+                os.kill(self._of.pid, self._number)
             else:
                 break
-            while rest:
-                now = time.monotonic()
-                if rest[0] < 32:  # the number of a signal
-                    if rest[0] in SIGNALS and not number:
-                        number, begun, end = rest[0], now, now + GRACE
-                    elif rest[0] in SIGNALS and not repeated and now > begun + _SAME:
-                        said, repeated, end = True, True, now + _AT_ONCE
-                    rest = rest[1:]
-                    continue
-                message, found, later = rest.partition(b"\0")
-                if not found:
-                    break
-                kind, text, rest = message[:1], os.fsdecode(message[1:]), later
-                if kind == b".":
-                    said = True
-                elif kind == b"!":
-                    self.words = text.split("\n")
-                elif kind == b"=":
-                    self.spared.add(int(text))
-                elif kind == b">":
-                    end = max(begun + GRACE, now + float(text))
-                elif kind == b"-":
-                    self._left.pop(Path(text), None)
-                else:
-                    self._left[Path(text)] = kind == b"/"
-        kill_below(self._pid, but=self.spared)  # before they have another parent
-        os.kill(self._pid, signal.SIGKILL)
-        self._clear()
-        _say(f"killed: it did not end by itself\n{self.last_words()}")
+        kill_below(self._of.pid, but=self._of.spared)  # before they have another parent
+        os.kill(self._of.pid, signal.SIGKILL)
+        self._of.clear()
+        _say(f"killed: it did not end by itself\n{self._of.last_words()}")
 
-    def _clear(self) -> None:
-        """Kill the processes below, and remove what is unfinished."""
-        kill_below(self._pid, but=self.spared)
-        left = [*self._left.items()]  # empty ones last, innermost first
-        for path, empty in sorted(left, key=lambda each: (each[1], -len(each[0].parts))):
-            _remove(path, empty=empty)
+    def _read(self, text: bytes) -> None:
+        """Take the numbers of signals and the whole messages out of a text."""
+        while text:
+            if text[0] < 32:  # the number of a signal
+                self._count(text[0])
+                text = text[1:]
+                continue
+            message, found, later = text.partition(b"\0")
+            if not found:
+                break
+            self._obey(message[:1], os.fsdecode(message[1:]))
+            text = later
+        self._rest = text
+
+    def _count(self, number: int) -> None:
+        """A signal of the first process."""
+        now = time.monotonic()
+        if number in SIGNALS and not self._number:
+            self._number, self._begun, self._end = number, now, now + GRACE
+        elif number in SIGNALS and not self._repeated and now > self._begun + _SAME:
+            self._said, self._repeated, self._end = True, True, now + _AT_ONCE
+
+    def _obey(self, kind: bytes, text: str) -> None:
+        """A message of the first process: see ``Interrupts.tell``."""
+        from pathlib import Path
+
+        if kind == b".":
+            self._said = True
+        elif kind == b"!":
+            self._of.words = text.split("\n")
+        elif kind == b"=":
+            self._of.spared.add(int(text))
+        elif kind == b">":
+            self._end = max(self._begun + GRACE, time.monotonic() + float(text))
+        elif kind == b"-":
+            self._of.left.pop(Path(text), None)
+        else:
+            self._of.left[Path(text)] = kind == b"/"
 
 
 def _say(line: str) -> None:
     """Write to standard error, below the line of a progress."""
     with contextlib.suppress(OSError):
         os.write(2, f"{chr(10) if os.isatty(2) else ''}{line}\n".encode("utf-8", "replace"))
-
-
-def kill_below(pid: int, *, but: "Iterable[int]" = (), itself: bool = False) -> None:
-    """Kill the processes of this session that descend from one, with exceptions.
-
-    They are stopped before they are killed: one that runs starts another in the meantime, and a
-    killed one no longer says whose child that is. ``itself``: kill that one too.
-    """
-    session, found, new = os.getsid(0), set[int](), {pid}
-    spared = set[int]() if itself else {pid}
-    while new:
-        found |= new
-        _send(signal.SIGSTOP, new - spared, session)
-        below, more, parents = set[int](), {pid}, _parents()
-        while more:
-            below |= more
-            children = {each for each, parent in parents.items() if parent in more}
-            more = children - below - {*but}
-        new = below - found
-    _send(signal.SIGKILL, found - spared, session)
-
-
-def _send(number: int, pids: "Iterable[int]", session: int) -> None:
-    for each in pids:
-        with contextlib.suppress(OSError):
-            if os.getsid(each) == session:  # a browser, say, has its own
-                os.kill(each, number)
-
-
-def _parents() -> dict[int, int]:
-    """Return the parent of every process."""
-    if not os.path.exists("/proc/self/stat"):
-        import subprocess
-
-        command = ["ps", "-A", "-o", "pid=", "-o", "ppid="]
-        lines = subprocess.run(command, capture_output=True, check=False).stdout.splitlines()
-        return {int(pid): int(parent) for pid, parent in map(bytes.split, lines)}
-    found = {}
-    for name in filter(str.isdigit, os.listdir("/proc")):
-        with contextlib.suppress(OSError), open(f"/proc/{name}/stat", "rb") as file:
-            found[int(name)] = int(file.read().rpartition(b")")[2].split()[1])
-    return found
 
 
 def handle_signals() -> Interrupts:

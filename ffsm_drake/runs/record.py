@@ -167,20 +167,35 @@ class RunRecord:
         Raises:
           RecordError: the directory cannot be written.
         """
-        from xarray.backends.netCDF4_ import NETCDF4_PYTHON_LOCK, NetCDF4DataStore
-
         directory, elsewhere = Path(directory), list[Path]()
         replaced = record_stamp(directory) if replacing is Ellipsis else replacing
-        # Character arrays rather than netCDF strings: every MATLAB reads them.
-        encoding: dict[str, dict[str, Any]] = {
-            str(name): {"dtype": "S1"}
-            for name, array in self.dataset.coords.items()
-            if array.dtype.kind in "UO"
-        }
-        encoding |= {str(name): {"zlib": True, "complevel": 1} for name in self.dataset.data_vars}
         metrics = dict[str, Any]()
         with spared(METRICS_FILE):
             metrics = self.metrics
+        manifest = self._manifest(directory)
+        with published(
+            directory,
+            outdated=(*OUTPUTS, INPUTS.name),
+            is_taken=lambda: record_stamp(directory) != replaced,
+            elsewhere=elsewhere,
+        ) as folder:
+            self._write_dataset(folder / DATASET_FILE)
+            if copies := INPUT_COPIES.first():
+                with spared(INPUTS.name):
+                    if kept := copies.keep(self.scenario, folder):
+                        manifest["inputs"] = kept
+            identifier = digest_of(folder / DATASET_FILE)
+            manifest[IDENTIFIER] = identifier
+            manifest[SEAL] = seal_of(json.loads(to_json(manifest)))
+            for name, data in (
+                (METRICS_FILE, metrics | {IDENTIFIER: identifier}), (MANIFEST_FILE, manifest),
+            ):  # fmt: skip
+                (folder / name).write_text(to_json(data), encoding="utf-8")
+        object.__setattr__(self, "identifier", identifier)
+        return elsewhere[0] if elsewhere else directory
+
+    def _manifest(self, directory: Path) -> dict[str, Any]:
+        """What the manifest in a folder says of the run, without its files."""
         manifest = {
             "format": FORMAT,
             "outcome": dataclasses.asdict(self.outcome),
@@ -203,33 +218,27 @@ class RunRecord:
             manifest["grasp"] = self.grasp
         if self.parts:
             manifest["parts"] = [dataclasses.asdict(part) for part in self.parts]
-        with published(
-            directory,
-            outdated=(*OUTPUTS, INPUTS.name),
-            is_taken=lambda: record_stamp(directory) != replaced,
-            elsewhere=elsewhere,
-        ) as folder:
-            try:
-                # Same as ``to_netcdf``, without its import of Dask's ``distributed``, if installed.
-                open_store: Any = NetCDF4DataStore.open  # without types
-                store = open_store(folder / DATASET_FILE, mode="w", lock=NETCDF4_PYTHON_LOCK)
-                with contextlib.closing(store):
-                    self.dataset.dump_to_store(store, encoding=encoding)
-            except RuntimeError as error:  # the netCDF library's error for a full disk
-                raise OSError(one_line(error)) from error
-            if copies := INPUT_COPIES.first():
-                with spared(INPUTS.name):
-                    if kept := copies.keep(self.scenario, folder):
-                        manifest["inputs"] = kept
-            identifier = digest_of(folder / DATASET_FILE)
-            manifest[IDENTIFIER] = identifier
-            manifest[SEAL] = seal_of(json.loads(to_json(manifest)))
-            for name, data in (
-                (METRICS_FILE, metrics | {IDENTIFIER: identifier}), (MANIFEST_FILE, manifest),
-            ):  # fmt: skip
-                (folder / name).write_text(to_json(data), encoding="utf-8")
-        object.__setattr__(self, "identifier", identifier)
-        return elsewhere[0] if elsewhere else directory
+        return manifest
+
+    def _write_dataset(self, file: Path) -> None:
+        """Write record.nc."""
+        from xarray.backends.netCDF4_ import NETCDF4_PYTHON_LOCK, NetCDF4DataStore
+
+        # Character arrays rather than netCDF strings: every MATLAB reads them.
+        encoding: dict[str, dict[str, Any]] = {
+            str(name): {"dtype": "S1"}
+            for name, array in self.dataset.coords.items()
+            if array.dtype.kind in "UO"
+        }
+        encoding |= {str(name): {"zlib": True, "complevel": 1} for name in self.dataset.data_vars}
+        open_store: Any = NetCDF4DataStore.open  # without types
+        try:
+            # Same as ``to_netcdf``, without its import of Dask's ``distributed``, if installed.
+            store = open_store(file, mode="w", lock=NETCDF4_PYTHON_LOCK)
+            with contextlib.closing(store):
+                self.dataset.dump_to_store(store, encoding=encoding)
+        except RuntimeError as error:  # the netCDF library's error for a full disk
+            raise OSError(one_line(error)) from error
 
     @classmethod
     def load(cls, directory: str | Path) -> "RunRecord":

@@ -30,7 +30,8 @@ from multiprocessing import active_children, get_context, parent_process, resour
 from typing import Any, Generic, TypeVar
 
 from ffsm_drake.common.errors import FfsmError, WorkersError, one_line
-from ffsm_drake.common.interrupts import kill_below, spare, stopping
+from ffsm_drake.common.interrupts import spare, stopping
+from ffsm_drake.common.processes import kill_below
 from ffsm_drake.common.threads import ONE_THREAD
 
 ATTEMPTS = 3
