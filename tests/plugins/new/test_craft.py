@@ -17,7 +17,8 @@ from ffsm_drake.plugins.new import first_mission
 from ffsm_drake.plugins.new.asked import Asked, WheelData
 from ffsm_drake.plugins.new.base_box import BaseBox
 from ffsm_drake.plugins.new.command import _target as parsed_target
-from ffsm_drake.plugins.new.first_scenario import NewScenario, new_scenario
+from ffsm_drake.plugins.new.first_scenario import new_scenario
+from ffsm_drake.plugins.new.result import NewScenario
 from ffsm_drake.plugins.new.urdf.mounting import make_bus
 from ffsm_drake.plugins.new.urdf.servicer import read_urdf
 from ffsm_drake.plugins.new.urdf.target import cube, read_target

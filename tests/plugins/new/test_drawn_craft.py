@@ -16,7 +16,7 @@ from outside_urdfs import joint, link, robot, simple_arm
 from ffsm_drake.cli import main
 from ffsm_drake.common.numbers import rounded_up
 from ffsm_drake.plugins.design.verdict import Verdict
-from ffsm_drake.plugins.new import first_scenario
+from ffsm_drake.plugins.new import result
 from ffsm_drake.plugins.new.asked import Asked
 from ffsm_drake.plugins.new.first_scenario import new_scenario
 from ffsm_drake.plugins.new.urdf.servicer import read_urdf
@@ -79,7 +79,7 @@ def test_a_failing_mission_names_what_helps_and_typing_it_does(tmp_path, monkeyp
             linear=None, not_linear="", load=None, noises=None, run=None, planned=planned
         )
 
-    monkeypatch.setattr(first_scenario, "verdict", verdict)
+    monkeypatch.setattr(result, "verdict", verdict)
     (tmp_path / "arm.urdf").write_text(simple_arm())
     words = ["--urdf", tmp_path / "arm.urdf", "--target", "40"]
     code, lines = typed(tmp_path / "heavy", *words)

@@ -13,7 +13,8 @@ from ffsm_drake.cli import main
 from ffsm_drake.common.errors import FfsmError, ModelError
 from ffsm_drake.plugins.new import hands
 from ffsm_drake.plugins.new.asked import Asked
-from ffsm_drake.plugins.new.first_scenario import NewScenario, new_scenario
+from ffsm_drake.plugins.new.first_scenario import new_scenario
+from ffsm_drake.plugins.new.result import NewScenario
 from ffsm_drake.scenario import load_scenario
 
 SPATIAL = "zyyxyx"  # axes of an arm's joints
