@@ -161,55 +161,10 @@ class Chain:
 
 
 def _contact_problems(scenario: Any) -> Problems:
-    contacts: dict[str, Contact] = scenario.contacts
-    if not contacts:
+    if not scenario.contacts:
         return
-    seen: dict[str, str] = {}
-    for name, contact in contacts.items():
-        key = f"contacts.{name}"
-        if not name.isidentifier():
-            yield key, "must be a name of letters, digits and underscores"
-        if contact.effector in seen:
-            yield (
-                f"{key}.effector",
-                f"'{contact.effector}' is also the hand of '{seen[contact.effector]}'; name "
-                "another hand",
-            )
-        seen.setdefault(contact.effector, name)
-    carrying = seen.get(scenario.model.end_effector)
-    if carrying is None:
-        yield (
-            "contacts",
-            f"no contact has model.end_effector, {scenario.model.end_effector}, as its effector; "
-            "add one",
-        )
-    elif contacts[carrying].kind != "rigid":
-        yield f"contacts.{carrying}.kind", "must be rigid, because the model welds this hand"
-    elif scenario.model.servicer and contacts[carrying].frame != scenario.model.grasp:
-        yield f"contacts.{carrying}.frame", f"must be model.grasp ({scenario.model.grasp})"
-    late = [each for each in contacts.items() if each[1].closes]
-    for name, contact in contacts.items() if scenario.approach else late:
-        for error in ("position_error", "rotation_error"):
-            if any(getattr(contact, error)):
-                key = f"contacts.{name}.{error}"
-                yield key, "has no effect on a hand that grasps during the run; remove it"
-    for name, contact in late:
-        key = f"contacts.{name}"
-        yield from sample_problems(contact.closes, scenario.sample_time, f"{key}.closes")
-        if name == carrying:
-            yield f"{key}.closes", "must be 0, because the model welds this hand"
-        if scenario.grasp_time + contact.closes > scenario.duration - scenario.sample_time:
-            yield (
-                f"{key}.closes",
-                f"must be within the duration of the run, {scenario.duration:g} s",
-            )
-    for key, problem, change in (
-        ("blocks.reference", scenario.blocks.reference, "remove it"),
-        ("blocks.forces.contacts", "contacts" in scenario.blocks.forces, "rename it"),
-        ("reference.duration", scenario.reference.duration is None, "give seconds"),
-    ):
-        if late and problem:
-            yield key, f"is not compatible with contacts.{late[0][0]}.closes; {change}"
+    yield from _of_hands(scenario)
+    yield from _of_late_hands(scenario)
     # A jam and the contacts would each need the other's force at the same instant, detection
     # compares with a plant without contacts, and a supervisor restarts the law's internal force.
     for key, problem in (
@@ -221,8 +176,57 @@ def _contact_problems(scenario: Any) -> Problems:
         ("supervisor", scenario.supervisor is not None),
         ("faults", scenario.faults is not None),
     ):
-        if problem and len(contacts) > 1:
+        if problem and len(scenario.contacts) > 1:
             yield key, "is not supported with more than one contact; remove it"
+
+
+def _of_hands(scenario: Any) -> Problems:
+    """Check the names and hands of contacts; the model welds one of the hands."""
+    contacts: dict[str, Contact] = scenario.contacts
+    seen: dict[str, str] = {}  # hand -> contact
+    for name, contact in contacts.items():
+        key, hand = f"contacts.{name}", contact.effector
+        if not name.isidentifier():
+            yield key, "must be a name of letters, digits and underscores"
+        if hand in seen:
+            problem = f"'{hand}' is also the hand of '{seen[hand]}'; name another hand"
+            yield f"{key}.effector", problem
+        seen.setdefault(hand, name)
+    welded = scenario.model.end_effector
+    if welded not in seen:
+        problem = f"no contact has model.end_effector, {welded}, as its effector; add one"
+        yield "contacts", problem
+        return
+    carrying = contacts[seen[welded]]
+    if carrying.kind != "rigid":
+        yield f"contacts.{seen[welded]}.kind", "must be rigid, because the model welds this hand"
+    elif scenario.model.servicer and carrying.frame != scenario.model.grasp:
+        yield f"contacts.{seen[welded]}.frame", f"must be model.grasp ({scenario.model.grasp})"
+
+
+def _of_late_hands(scenario: Any) -> Problems:
+    """Check the hands that grasp during the run, and what is not compatible with them."""
+    contacts: dict[str, Contact] = scenario.contacts
+    late = {name: contact for name, contact in contacts.items() if contact.closes}
+    for name, contact in (contacts if scenario.approach else late).items():
+        for error in ("position_error", "rotation_error"):
+            if any(getattr(contact, error)):
+                key = f"contacts.{name}.{error}"
+                yield key, "has no effect on a hand that grasps during the run; remove it"
+    for name, contact in late.items():
+        key = f"contacts.{name}.closes"
+        yield from sample_problems(contact.closes, scenario.sample_time, key)
+        if contact.effector == scenario.model.end_effector:
+            yield key, "must be 0, because the model welds this hand"
+        if scenario.grasp_time + contact.closes > scenario.duration - scenario.sample_time:
+            yield key, f"must be within the duration of the run, {scenario.duration:g} s"
+    for key, problem, change in (
+        ("blocks.reference", scenario.blocks.reference, "remove it"),
+        ("blocks.forces.contacts", "contacts" in scenario.blocks.forces, "rename it"),
+        ("reference.duration", scenario.reference.duration is None, "give seconds"),
+    ):
+        if late and problem:
+            yield key, f"is not compatible with contacts.{next(iter(late))}.closes; {change}"
 
 
 def closing_times(scenario: Any) -> list[float]:

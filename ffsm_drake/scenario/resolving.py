@@ -134,45 +134,14 @@ def resolve(schema: Any, default: Any, data: Any, path: str) -> Any:
         return _plain(data, path)
     fields, inner, origin, args = _shape_of(schema)
     if fields is not None:
-        if isinstance(data, str) and hasattr(schema, "SHORTHAND"):
-            data = {schema.SHORTHAND: data}
-        if not isinstance(data, Mapping):
-            raise ScenarioError(
-                path, f"must be a mapping with keys {some(fields)}, not {shown(data)}"
-            )
-        for key in data:
-            if key not in fields:
-                raise _unknown_key(path, key, fields)
-        return {
-            key: resolve(kind, default[key], data[key], join(path, key))
-            if key in data
-            else default[key]
-            for key, kind in fields.items()
-        }
+        return _resolve_group(schema, default, data, path)
     if inner is not schema:
         if default is None and schema_fields(inner) is not None:
             default = defaults_of(inner)
         absent = data is None or (data == "auto" and inner is float)
         return None if absent else resolve(inner, default, data, path)
     if origin is dict:
-        if args[1] in (float, int) and not isinstance(data, Mapping):
-            if isinstance(data, (list, tuple)):
-                raise ScenarioError(
-                    join(path, "all"),
-                    f"must be a number, not {shown(data)}; several go by name, as in "
-                    "{all: 1, joints: 2}",
-                )
-            data = {"all": data}
-        if _is_alone(args[1], data):
-            data = {"own": data}
-        if not isinstance(data, Mapping):
-            raise ScenarioError(path, f"must be a mapping, not {shown(data)}")
-        blank = None if schema_fields(args[1]) is None else defaults_of(args[1])
-        for key in data:
-            if not isinstance(key, str):
-                raise ScenarioError(join(path, shown(key)), "a name must be text; put it in quotes")
-            _convert_leaf(str, key, join(path, key))
-        return {key: resolve(args[1], blank, item, join(path, key)) for key, item in data.items()}
+        return _resolve_named(args[1], data, path)
     if origin is list:
         if args[0] is float and type(data) in (int, float):  # a number alone
             data = [data]
@@ -180,6 +149,46 @@ def resolve(schema: Any, default: Any, data: Any, path: str) -> Any:
             raise ScenarioError(path, f"must be a list, not {shown(data)}")
         return [resolve(args[0], None, item, f"{path}[{i}]") for i, item in enumerate(data)]
     return _convert_leaf(schema, data, path)
+
+
+def _resolve_group(schema: Any, default: Any, data: Any, path: str) -> dict[str, Any]:
+    """``resolve`` for a group of settings."""
+    fields: Mapping[str, Any] = _shape_of(schema).fields or {}
+    if isinstance(data, str) and hasattr(schema, "SHORTHAND"):
+        data = {schema.SHORTHAND: data}
+    if not isinstance(data, Mapping):
+        raise ScenarioError(path, f"must be a mapping with keys {some(fields)}, not {shown(data)}")
+    for key in data:
+        if key not in fields:
+            raise _unknown_key(path, key, fields)
+    return {
+        key: resolve(kind, default[key], data[key], join(path, key))
+        if key in data
+        else default[key]
+        for key, kind in fields.items()
+    }
+
+
+def _resolve_named(kind: Any, data: Any, path: str) -> dict[str, Any]:
+    """``resolve`` for values of one kind by name."""
+    if kind in (float, int) and not isinstance(data, Mapping):
+        if isinstance(data, (list, tuple)):
+            raise ScenarioError(
+                join(path, "all"),
+                f"must be a number, not {shown(data)}; several go by name, as in "
+                "{all: 1, joints: 2}",
+            )
+        data = {"all": data}
+    if _is_alone(kind, data):
+        data = {"own": data}
+    if not isinstance(data, Mapping):
+        raise ScenarioError(path, f"must be a mapping, not {shown(data)}")
+    blank = None if schema_fields(kind) is None else defaults_of(kind)
+    for key in data:
+        if not isinstance(key, str):
+            raise ScenarioError(join(path, shown(key)), "a name must be text; put it in quotes")
+        _convert_leaf(str, key, join(path, key))
+    return {key: resolve(kind, blank, item, join(path, key)) for key, item in data.items()}
 
 
 def _is_alone(schema: Any, data: Any) -> bool:

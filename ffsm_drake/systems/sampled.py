@@ -295,14 +295,16 @@ class _Stepping(BlockSystem):
         super().__init__(block)
         self._sample_time, self._place = sample_time, place
         self._is_checked = is_user_supplied(type(block))
+        self._acts, self._optional = block.acts, block.optional
         memory = memory_of(block, place=place)
         phase = phases_of(block, 1, place=place)[0]
+        self._is_phased = phase.size > 0
         ports = {each: self.DeclareVectorInputPort(each, size) for each, size in inputs.items()}
         self._latched = {
             each: (ports.pop(each), self._state(value), list(block.entries.get(each, ())) or None)
             for each, value in block.latched.items()
         }
-        self._acts, self._inputs, self._is_phased = block.acts, ports, phase.size > 0
+        self._inputs = ports
         self._memory = {each: self._state(value) for each, value in memory.items()}
         if self._is_phased and self._acts:
             self._phase = self.DeclareDiscreteState(phase)
@@ -311,23 +313,9 @@ class _Stepping(BlockSystem):
             for each, size in outputs.items()
             if held and not each.startswith(NEXT)
         }
-        reads = {self.input_port_ticket(port.get_index()) for port in ports.values()}
-        if self._loaded:
-            reads.add(self.all_parameters_ticket())
-        if memory or self._acts:
-            reads.add(self.xd_ticket())
-        if not self._acts:
-            reads.add(self.time_ticket())
-        self._outputs, self._optional = tuple(outputs), block.optional
+        self._outputs = tuple(outputs)
         self._sizes = [*outputs.items(), *((each, value.size) for each, value in memory.items())]
-        self.widths = [size for _, size in self._sizes]
-        ends = np.cumsum([0, *self.widths]).tolist()
-        places = [slice(*pair) for pair in itertools.pairwise(ends)]
-        self._kept = dict(zip(memory, places[len(outputs) :], strict=True))
-        self._places = dict(zip(outputs, places, strict=False))
-        self._result = self.DeclareVectorOutputPort(
-            "result", ends[-1], weak_callback(self._calc_result), reads
-        )
+        self._declare_result()
         for each, group in self._held.items():
             if block.per_sample:
                 self.DeclareStateOutputPort(each, group)
@@ -338,6 +326,24 @@ class _Stepping(BlockSystem):
             period = sample_time / block.per_sample
             self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, weak_callback(self._update))
         untie(self)
+
+    def _declare_result(self) -> None:
+        """Declare the output with what a step returns, and where each part is in it."""
+        self.widths = [size for _, size in self._sizes]
+        ends = np.cumsum([0, *self.widths]).tolist()
+        places = [slice(*pair) for pair in itertools.pairwise(ends)]
+        self._places = dict(zip(self._outputs, places, strict=False))
+        self._kept = dict(zip(self._memory, places[len(self._outputs) :], strict=True))
+        reads = {self.input_port_ticket(port.get_index()) for port in self._inputs.values()}
+        if self._loaded:
+            reads.add(self.all_parameters_ticket())
+        if self._memory or self._acts:
+            reads.add(self.xd_ticket())
+        if not self._acts:
+            reads.add(self.time_ticket())
+        self._result = self.DeclareVectorOutputPort(
+            "result", ends[-1], weak_callback(self._calc_result), reads
+        )
 
     def _state(self, value: Sequence[float] | np.ndarray) -> Any:
         return self.DeclareDiscreteState(np.ravel(value))
