@@ -3,10 +3,11 @@ gives for its states.
 """
 
 import dataclasses
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
-from pydrake.math import RotationMatrix
+from pydrake.math import RigidTransform, RotationMatrix
 
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.numbers import usable
@@ -23,6 +24,9 @@ from ffsm_drake.spacecraft.plant import base_rpy, find_body, hand_frame
 from ffsm_drake.systems.controllers import SMALLEST
 from ffsm_drake.systems.parts.placed import PlacedPart, with_role
 from ffsm_drake.systems.parts.signals import ROLES, STORED_MOMENTUM, values_of
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 def make_table(log: RunLog) -> Table:
@@ -186,3 +190,15 @@ def _with_phases(
             "quaternion": ("quaternion", ["w", "x", "y", "z"]),
         },
     )
+
+
+def free_target(data: "xr.Dataset") -> dict[int, RigidTransform]:
+    """Return the poses of a run's target before the grasp, by sample; none without a capture."""
+    if "phase" not in data.coords:
+        return {}
+    before = np.flatnonzero(data["phase"].values.astype(str) != "stop").tolist()
+    turns, places = (data[f"target_{each}"].values for each in ("quaternion", "position"))
+    return {
+        k: RigidTransform(Quaternion(turns[k] / np.linalg.norm(turns[k])), places[k])
+        for k in before
+    }

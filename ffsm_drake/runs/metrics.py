@@ -6,7 +6,7 @@ over [t_k, t_{k+1}).
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -254,7 +254,7 @@ def momentum_residual(dataset: "Labelled") -> dict[str, np.ndarray]:
     then small against every force's impulse. It ends before the first sample that is not finite
     (the last one of some diverged runs).
     """
-    dataset = _usable_start(dataset, _IN_BALANCE)
+    dataset = usable_start(dataset, _IN_BALANCE)
     linear, angular = (dataset[f"{name}_momentum"].values for name in ("linear", "angular"))
     change = {"linear": linear - linear[0], "angular": angular - angular[0]}
     period = np.diff(dataset["time"].values)[:, None]
@@ -280,10 +280,12 @@ def momentum_residual(dataset: "Labelled") -> dict[str, np.ndarray]:
     }
 
 
-def _usable_start(dataset: "Labelled", names: Sequence[str]) -> "Labelled":
-    """Return the samples before the first that is not ``usable``; at least one."""
+def usable_start(dataset: Any, names: Iterable[Any], *, least: int = 1) -> Any:
+    """Return the samples of a run before the first where one of some variables is not ``usable``,
+    which ends the record of a diverged run; at least so many.
+    """
     good = np.logical_and.reduce([usable(dataset[name].values) for name in names])
-    count = good.size if good.all() else max(1, int(np.argmin(good)))
+    count = good.size if good.all() else max(least, int(np.argmin(good)))
     return dataset.isel(time=slice(0, count))
 
 

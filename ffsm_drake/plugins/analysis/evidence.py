@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.common.numbers import counted, usable
+from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.analysis.findings import NotApplicable
-from ffsm_drake.runs.metrics import phases_of
+from ffsm_drake.runs.metrics import phases_of, usable_start
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.table import Given, Table
 from ffsm_drake.spacecraft.free_floating import driven_model
@@ -70,7 +70,8 @@ class Evidence:
         phases = phases_of(record.dataset)
         if phases and "stop" not in phases:
             raise FfsmError("the run ended before the grasp; there is nothing to analyse")
-        self.data = finite_part(phases.get("stop", record.dataset))
+        data = phases.get("stop", record.dataset)
+        self.data = usable_start(data, data.data_vars, least=0)
         self.time = self.data["time"].values
         self.period = float(record.dataset.attrs["sample_time"])
         self.nominal = driven_model(make_nominal_plant(self.scenario))
@@ -203,16 +204,6 @@ def mass_matrices(model: PlantModel, positions: np.ndarray) -> np.ndarray:
     """Mass matrices (n, nv, nv), apparent with flexible parts, at configurations (n, nq)."""
     size = len(model.coordinates.names)
     return np.array([model.calc_apparent_mass_matrix(q) for q in positions]).reshape(-1, size, size)
-
-
-def finite_part(dataset: "xr.Dataset") -> "xr.Dataset":
-    """Return the samples before the first that is not ``usable``, which ends the record of a
-    diverged run.
-    """
-    good = np.ones(dataset.sizes["time"], dtype=bool)
-    for variable in dataset.data_vars.values():
-        good &= usable(variable.values)
-    return dataset.isel(time=slice(0, good.size if good.all() else int(np.argmin(good))))
 
 
 def largest(values: np.ndarray) -> np.ndarray:

@@ -1,14 +1,14 @@
 """Where the bodies and joints of a recorded run are."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import numpy as np
-from pydrake.common.eigen_geometry import Quaternion
 from pydrake.geometry import Rgba, Role, Shape
 from pydrake.math import RigidTransform
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import DiagramBuilder
 
+from ffsm_drake.runs.dataset import free_target
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.plant import add_combined_plant, base_body, find_body, split_of
@@ -17,22 +17,9 @@ WORLD = "world"
 _PLAIN = Rgba(0.7, 0.7, 0.72, 1.0)  # colour of shapes without one
 
 
-def free_target(record: RunRecord) -> Mapping[int, RigidTransform]:
-    """Poses of the target before the grasp, by sample; none without a capture."""
-    data = record.dataset
-    if "phase" not in data.coords:
-        return {}
-    before = np.flatnonzero(data["phase"].values.astype(str) != "stop")
-    turns, places = (data[f"target_{each}"].values for each in ("quaternion", "position"))
-    return {
-        int(k): RigidTransform(Quaternion(turns[k] / np.linalg.norm(turns[k])), places[k])
-        for k in before
-    }
-
-
 def poses_of(record: RunRecord, bodies: "Bodies") -> Iterator[dict[str, RigidTransform]]:
     """X_WB of each body at the samples of a run, up to the first that is not finite."""
-    data, free = record.dataset, free_target(record)
+    data, free = record.dataset, free_target(record.dataset)
     hidden = data["hidden_position"].values if "hidden_position" in data else None
     for k, q in enumerate(data["position"].values):
         if not np.isfinite(q).all():

@@ -5,9 +5,7 @@ from typing import Protocol
 
 import numpy as np
 import xarray as xr
-from pydrake.common.eigen_geometry import Quaternion
 from pydrake.geometry import Meshcat, Rgba
-from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.errors import FfsmError
@@ -16,6 +14,8 @@ from ffsm_drake.plugins.meshcat.arrows import ForceArrows
 from ffsm_drake.plugins.meshcat.drift import START_LEGEND, draw_drift, draw_frame_path
 from ffsm_drake.plugins.meshcat.solids import SwitchedSolids
 from ffsm_drake.plugins.meshcat.stage import SpacecraftView, set_stage
+from ffsm_drake.runs.dataset import free_target
+from ffsm_drake.runs.metrics import usable_start
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.coordinates import StateSplit
@@ -52,24 +52,13 @@ class ReplayView:
 
         A frame covers ``speed / frames_per_second`` s of the run, so that short pulses show.
         """
-        dataset = record.dataset
-        # A diverged run may end in numbers too large to draw.
-        shown = [
-            dataset[name].values for name in ("position", "hidden_position") if name in dataset
-        ]
-        finite = np.isfinite(np.hstack(shown)).all(axis=1)
-        count = finite.size if finite.all() else max(1, int(np.argmin(finite)))
-        dataset = dataset.isel(time=slice(count))
+        shown = [name for name in ("position", "hidden_position") if name in record.dataset]
+        dataset = usable_start(record.dataset, shown)
         self.times = dataset["time"].values
+        count = self.times.size
         self._positions = dataset["position"].values
         # Before a grasp the target is a separate body.
-        self._target: np.ndarray | None = None
-        if "phase" in dataset.coords:
-            free = dataset.isel(time=dataset["phase"].values.astype(str) != "stop")
-            self._target = np.hstack(
-                [free["target_quaternion"].values, free["target_position"].values]
-            )
-            self._payload_body = record.scenario.payload.body
+        self._target, self._payload_body = free_target(dataset), record.scenario.payload.body
         set_stage(meshcat, record.scenario, ghost=ghost)
         self.spacecraft = SpacecraftView(
             meshcat, record.scenario, frames_per_second=frames_per_second
@@ -114,9 +103,7 @@ class ReplayView:
         self.spacecraft.show(
             self._positions[sample], deflection=deflection, time=time_in_recording or 0.0
         )
-        if self._target is not None and sample < len(self._target):
-            pose = self._target[sample]
-            X_WP = RigidTransform(Quaternion(pose[:4] / np.linalg.norm(pose[:4])), pose[4:])
+        if (X_WP := self._target.get(sample)) is not None:
             self.spacecraft.place(self._payload_body, X_WP, time_in_recording=time_in_recording)
         if self.arrows is not None:
             self.arrows.show(sample, time_in_recording=time_in_recording)
