@@ -218,14 +218,14 @@ def _made(
         return made, fill
     place = f"blocks.{name} '{getattr(given, '__name__', system)}'"
     fill = own or factory_of(name, scenario, given)
-    made = _as_system(call_factory(fill, setup, place=place), setup, kind=kind, place=place)
+    made = as_system(call_factory(fill, setup, place=place), setup, kind=kind, place=place)
     if made is not None or own is None:
         check_ports(made, kind, setup.coordinates, place=place)
         made.set_name(setup.name if setup.name not in _TAKEN else name.replace(".", "_"))
     return made, fill
 
 
-def _as_system(made: Any, setup: BlockSetup, *, kind: str, place: str) -> Any:
+def as_system(made: Any, setup: BlockSetup, *, kind: str, place: str) -> Any:
     """Return the system around a block as functions; any other one unchanged."""
     if isinstance(made, Continuous) and kind in ("reference", "forces"):
         return InstantSystem(made, name=setup.name)

@@ -5,14 +5,17 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, InputPort, LeafSystem
 
 from ffsm_drake.common.lifetime import weak_callback
-from ffsm_drake.loop.blocks import DISTURBANCE, factory_of
+from ffsm_drake.loop.blocks import DISTURBANCE, as_system, factory_of
 from ffsm_drake.scenario import Block
 from ffsm_drake.spacecraft.plant import find_body
 from ffsm_drake.systems.registry import call_factory
+from ffsm_drake.systems.sampled import NEXT
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
+
+_AHEAD = f"{NEXT}generalized_force"
 
 
 def make_operated_disturbance(
@@ -29,14 +32,18 @@ def make_operated_disturbance(
     choice = setup.scenario.blocks.choices().get(DISTURBANCE, Block())
     original = dataclasses.replace(setup, settings=choice.settings)
     factory = factory_of(DISTURBANCE, setup.scenario)
-    disturbance = call_factory(factory, original, place=f"blocks.{DISTURBANCE}")
+    place = f"blocks.{DISTURBANCE}"
+    made = call_factory(factory, original, place=place)
+    disturbance = as_system(made, original, kind="forces", place=place)
+    # a force that is held from sample to sample
+    ahead = _AHEAD if disturbance.HasOutputPort(_AHEAD) else "generalized_force"
     operator = OperatorInputs(setup, initial=initial, poll=poll)
     return CompositeBlock(
         "disturbance",
         {"original": disturbance, "operator": operator},
         inputs=("state",),
-        outputs=("generalized_force", "next_generalized_force"),
-        signals={"operator": {"disturbance": "generalized_force"}},
+        outputs=("generalized_force", _AHEAD),
+        signals={"operator": {"disturbance": "generalized_force", "next_disturbance": ahead}},
     )
 
 
@@ -44,7 +51,7 @@ class OperatorInputs(LeafSystem):
     """The disturbance under control of an operator.
 
     Inputs:
-      disturbance: (nv).
+      disturbance, next_disturbance: (nv) now, and just after the update of a control sample.
       state: [q; v] (nq + nv).
     Outputs:
       generalized_force: scale * disturbance + J^T F (nv), with the Jacobian J of the payload's
@@ -72,23 +79,23 @@ class OperatorInputs(LeafSystem):
         self._poll = poll
         num_velocities = self._model.plant.num_velocities()
         num_states = self._model.plant.num_multibody_states()
-        self._disturbance = self.DeclareVectorInputPort("disturbance", num_velocities)
         self._state = self.DeclareVectorInputPort("state", num_states)
         self._acting = self.DeclareDiscreteState(initial)
         self._next = self.DeclareDiscreteState(initial)
         self.DeclarePeriodicDiscreteUpdateEvent(
             scenario.sample_time, 0.0, weak_callback(self._update)
         )
-        for name, index in (
-            ("generalized_force", self._acting),
-            ("next_generalized_force", self._next),
+        for name, of, index in (
+            ("generalized_force", "disturbance", self._acting),
+            (_AHEAD, "next_disturbance", self._next),
         ):
+            disturbance = self.DeclareVectorInputPort(of, num_velocities)
             self.DeclareVectorOutputPort(
                 name,
                 num_velocities,
-                partial(weak_callback(self._calc_force), index),
+                partial(weak_callback(self._calc_force), disturbance, index),
                 {
-                    self.input_port_ticket(self._disturbance.get_index()),
+                    self.input_port_ticket(disturbance.get_index()),
                     self.input_port_ticket(self._state.get_index()),
                     self.discrete_state_ticket(index),
                 },
@@ -99,9 +106,11 @@ class OperatorInputs(LeafSystem):
         values.set_value(self._acting, context.get_discrete_state(self._next).value())
         values.set_value(self._next, self._poll(context.get_time(), q))
 
-    def _calc_force(self, index: int, context: Context, output: BasicVector) -> None:
+    def _calc_force(
+        self, disturbance: InputPort, index: int, context: Context, output: BasicVector
+    ) -> None:
         scale, *push = context.get_discrete_state(index).value()
-        force = scale * self._disturbance.Eval(context)
+        force = scale * disturbance.Eval(context)
         if any(push):
             q = self._state.Eval(context)[: self._model.plant.num_positions()]
             force = force + self._calc_jacobian(q).T @ np.array(push)
