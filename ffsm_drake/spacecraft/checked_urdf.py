@@ -39,6 +39,7 @@ class Numbers:
     unit: str = ""
     count: tuple[int, ...] = (1,)
     positive: bool = False
+    negative: bool = True  # whether values below zero are allowed
 
     def problems(self, text: str) -> Iterator[str]:
         """What is wrong with a text, such as "must be a number, not 'a'"."""
@@ -51,6 +52,8 @@ class Numbers:
             size, unit = abs(value), f" {self.unit}" * bool(self.unit)
             if self.positive and value <= 0.0:
                 yield f"must be > 0{unit}, {shown}"
+            elif not self.negative and value < 0.0:
+                yield f"must be >= 0{unit}, {shown}"
             elif not math.isfinite(value) and self.most < math.inf:
                 yield f"must be finite, {shown}"
             elif size > self.most or 0.0 < size < self.least:
@@ -83,8 +86,8 @@ _CHECKED = {
     "limit": dict.fromkeys(
         ("lower", "upper", "effort", "velocity", f"{DRAKE}acceleration"), Numbers(math.inf)
     ),
-    "dynamics": {"damping": _FACTOR, "friction": _FACTOR},
-    "rotor_inertia": {"value": _MOMENT},
+    "dynamics": {"damping": dataclasses.replace(_FACTOR, negative=False), "friction": _FACTOR},
+    "rotor_inertia": {"value": dataclasses.replace(_MOMENT, negative=False)},
     "gear_ratio": {"value": _FACTOR},
 }
 

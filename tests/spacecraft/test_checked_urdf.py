@@ -53,6 +53,30 @@ def test_bad_numbers(load, found, at, bad):
         load(text)
 
 
+TRANSMISSION = """<transmission name="t">
+  <type>transmission_interface/SimpleTransmission</type>
+  <joint name="joint_1"><hardwareInterface>EffortJointInterface</hardwareInterface></joint>
+  <actuator name="m"><mechanicalReduction>1</mechanicalReduction>
+    <drake:rotor_inertia xmlns:drake="http://drake.mit.edu" value="{}"/></actuator>
+</transmission></robot>"""
+
+
+@SETTINGS
+@given(st.floats(1e-6, 1e9), st.sampled_from(["rotor_inertia value", "dynamics damping"]))
+def test_numbers_that_must_not_be_negative(load, size, of):
+    def with_value(value):
+        if of == "dynamics damping":
+            return re.sub(
+                r'(<joint name="joint_1"[^>]*>)', rf'\1<dynamics damping="{value}"/>', GOOD
+            )
+        return GOOD.replace("</robot>", TRANSMISSION.format(value))
+
+    load(with_value(0))
+    load(with_value(min(size, 1.0)))
+    with pytest.raises(ModelError, match=rf"'\w+': <{of}> must be >= 0"):
+        load(with_value(-size))
+
+
 @SETTINGS
 @given(st.sampled_from(NAMES), st.sampled_from(["a::b", "::", "servicer::x", " a", "a\u202e", ""]))
 def test_bad_names(load, found, bad):
