@@ -21,11 +21,10 @@ from ffsm_drake.runs.tracking import (
 )
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, position_errors
-from ffsm_drake.spacecraft.free_floating import TASK_ROWS
 from ffsm_drake.spacecraft.grasp import Contact
 from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
 from ffsm_drake.systems.controllers.law import ControlLaw
-from ffsm_drake.systems.frame_path import goal_frame
+from ffsm_drake.systems.frame_path import goal_frame, tracked_rows
 from ffsm_drake.systems.parts.metrics import Figure
 from ffsm_drake.systems.parts.placed import Parts, figures_of, signals_of, with_role
 from ffsm_drake.systems.parts.record import PartRecord, recorded
@@ -182,10 +181,9 @@ class RunLog:
         if self.frame_error is not None:
             meaning = "true pose error of the frame (rotation vector, position; world)"
             columns["frame_error"] = (("time", frame), self.frame_error, meaning, "rad, m")
-            goal, prescribed = scenario.reference.frame, np.zeros(6, dtype=bool)
+            prescribed = np.zeros(6, dtype=bool)
             # a frame that follows the coordinates' plan has a pose
-            task = "pose" if goal is None or goal.task == "none" else goal.task
-            prescribed[TASK_ROWS[task]] = True
+            prescribed[tracked_rows(scenario)] = True
             coords |= {
                 frame: (frame, FRAME_COORDINATES),
                 "frame_unit": (frame, FRAME_UNITS),

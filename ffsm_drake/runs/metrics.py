@@ -186,7 +186,7 @@ METRICS = (
     ),
     *(
         Metric(
-            key=f"{figure}.{group}", unit="", label="", heading=heading,
+            key=f"{figure}.{group}", unit="", heading=heading,
             of=functools.partial(of_group, figure, group),
         )
         for figure, headings in _HEADINGS.items()

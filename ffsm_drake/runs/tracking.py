@@ -20,7 +20,7 @@ FRAME_COORDINATES = tuple(
 )
 FRAME_UNITS = ("rad", "rad", "rad", "m", "m", "m")
 # groups whose tolerances apply to a frame
-_FRAME_GROUPS = ("base_rotation",) * 3 + ("base_position",) * 3
+FRAME_GROUPS = ("base_rotation",) * 3 + ("base_position",) * 3
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,6 +60,6 @@ def tracked_of(dataset: "Labelled") -> Tracked:
     return Tracked(
         error=np.hstack([error[:, counted], frame[:, rows]]) if rows.any() else error[:, counted],
         names=of("coordinate", FRAME_COORDINATES),
-        groups=of("group", _FRAME_GROUPS),
+        groups=of("group", FRAME_GROUPS),
         units=of("unit", FRAME_UNITS),
     )

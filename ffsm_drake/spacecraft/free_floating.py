@@ -32,6 +32,7 @@ TASK_ROWS: dict[str, slice] = {
     "pose": slice(0, 6),
     "attitude": slice(0, 3),
     "position": slice(3, 6),
+    "none": slice(0, 0),
 }
 
 

@@ -12,6 +12,7 @@ from pydrake.multibody.tree import Frame
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.so3 import rotation_error
 from ffsm_drake.scenario import FrameGoal, Scenario
+from ffsm_drake.spacecraft.free_floating import TASK_ROWS
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_frame, hand_frame
 from ffsm_drake.spacecraft.start import velocity_at_start
@@ -28,6 +29,14 @@ def goal_frame(scenario: Scenario, plant: MultibodyPlant) -> Frame:
     if goal.frame is None:
         return hand_frame(plant, scenario.model)
     return find_frame(plant, goal.frame, key="reference.frame.frame")
+
+
+def tracked_rows(scenario: Scenario) -> slice:
+    """Return the rows of a twist [w; v] that a law tracks: the prescribed ones of
+    ``reference.frame``, or all if there are none.
+    """
+    goal = scenario.reference.frame
+    return TASK_ROWS["pose" if goal is None or goal.task == "none" else goal.task]
 
 
 def make_frame_path(

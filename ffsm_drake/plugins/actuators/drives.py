@@ -344,7 +344,7 @@ class JointDrives(Part):
         """
 
         def by_joint(key: str, unit: str, of: Callable[[View], Mapping[str, float]]) -> Metric:
-            return Metric(key=f"drives.{key}", unit=unit, label="", column="", of=of)
+            return Metric(key=f"drives.{key}", unit=unit, column="", of=of)
 
         def used(signal: Callable[[View], np.ndarray], limit: str) -> Callable[[View], Any]:
             def shares(run: View) -> dict[str, float]:
@@ -365,9 +365,7 @@ class JointDrives(Part):
             by_joint("peak_friction", "N m or N", self._peak_friction),
             by_joint("friction_loss", "J", self._friction_loss),
         )
-        limited = Metric(
-            key="drives.rate_limited", unit="1", label="", column="", of=self._rate_limited
-        )
+        limited = Metric(key="drives.rate_limited", unit="1", column="", of=self._rate_limited)
         has_friction = any(
             value
             for name in ("coulomb_friction", "viscous_friction", "static_friction")

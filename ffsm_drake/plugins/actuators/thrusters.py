@@ -288,7 +288,7 @@ class FiredThrusters(BaseActuator):
             self._by_unit("pulses", "1", _count),
             _of_all("pulses", "1", _count, heading="pulses"),
             self._by_unit("on_time", "s", lambda run: _opened(run).sum(axis=0) * _period(run)),
-            Metric(key="thrusters.shortest_pulse", unit="s", label="", column="", of=_shortest),
+            Metric(key="thrusters.shortest_pulse", unit="s", column="", of=_shortest),
             Metric(
                 key="thrusters.saturated",
                 unit="1",
@@ -303,7 +303,6 @@ class FiredThrusters(BaseActuator):
         return Metric(
             key=f"thrusters.{key}",
             unit=unit,
-            label="",
             column="",
             of=lambda run: dict(zip(self.units, of(run).tolist(), strict=True)),
         )

@@ -126,7 +126,6 @@ class ReactionWheels(BaseActuator):
             return Metric(
                 key=f"wheels.{key}",
                 unit=unit,
-                label="",
                 column="",
                 of=lambda run: dict(
                     zip(self.settings.units, np.abs(run[signal]).max(axis=0).tolist(), strict=True)

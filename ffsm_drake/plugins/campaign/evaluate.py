@@ -145,15 +145,15 @@ _OF_CAPTURE = (
         of=lambda run: run.impulse(slice(0, 3)),
     ),
     Metric(
-        key="first_limit_time", unit="s", label="", heading="",
+        key="first_limit_time", unit="s", heading="",
         of=lambda run: run.left.get(run.first),
     ),
-    Metric(key="closest_distance", unit="m", label="", heading="", of=lambda run: run.closest),
+    Metric(key="closest_distance", unit="m", heading="", of=lambda run: run.closest),
 )  # fmt: skip
 _OF_FRAME = {
     part: tuple(
         Metric(
-            key=f"{moment}_frame_{part}", unit=unit, label="", heading=heading,
+            key=f"{moment}_frame_{part}", unit=unit, heading=heading,
             of=functools.partial(Judged.frame, moment=moment, part=part),
         )
         for moment, heading in (("largest", ""), ("final", f"frame's final {word} error [{unit}]"))

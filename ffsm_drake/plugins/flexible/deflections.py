@@ -120,12 +120,11 @@ class Deflections(Part):
                 for key, label, of, when in by_name
                 for unit in units
             ),
-            Metric(key="hidden.residual_since", unit="s", label="", column="", of=_since),
+            Metric(key="hidden.residual_since", unit="s", column="", of=_since),
             *(
                 Metric(
                     key="",
                     unit=unit,
-                    label="",
                     column=f"{column}_{_COLUMNS[unit]}",
                     heading=f"{heading} [{unit}]",
                     of=functools.partial(_largest, of, when, unit),

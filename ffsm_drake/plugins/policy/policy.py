@@ -20,10 +20,11 @@ import numpy as np
 from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.files import check_regular
 from ffsm_drake.plugins.task_space.tasks import TaskSpace
+from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_GROUPS
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, Coordinates
-from ffsm_drake.spacecraft.free_floating import TASK_ROWS
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers import ControlLaw, Sample, State, make_law
+from ffsm_drake.systems.frame_path import tracked_rows
 from ffsm_drake.systems.registry import block_names
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -40,11 +41,8 @@ def error_names(
     errors = [*zip(coordinates.names, coordinates.group_of, strict=True)]
     if not tracks_frame:
         return errors
-    goal = scenario.reference.frame
-    rows = TASK_ROWS["pose" if goal is None or goal.task == "none" else goal.task]
-    frame = [(name, "base_rotation") for name in BASE_ROTATION]
-    frame += [(name, "base_position") for name in BASE_POSITION]
-    return errors + [(name.replace("base", "frame"), group) for name, group in frame[rows]]
+    of_frame = [*zip(FRAME_COORDINATES, FRAME_GROUPS, strict=True)]
+    return errors + of_frame[tracked_rows(scenario)]
 
 
 def observation_names(

@@ -30,13 +30,11 @@ from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_VELOCITIES,
     position_errors,
 )
-from ffsm_drake.spacecraft.free_floating import free_floating
+from ffsm_drake.spacecraft.free_floating import TASK_ROWS, free_floating
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.polynomial_motion import BlendedPath
 
-# rows of a twist
-_ROWS = {"pose": slice(0, 6), "attitude": slice(0, 3), "position": slice(3, 6), "none": slice(0, 0)}
 _RANK = 1e-9  # ratio of singular values: above rounding errors, below that of any arm
 _STEP = 1e-4  # s; step of the difference quotient along the motion
 _INSTANTS = 201  # samples for a report
@@ -115,7 +113,7 @@ class ResolvedMotion(MomentumMotion):
         self._held = np.flatnonzero(
             np.isin(np.delete(np.arange(len(coordinates.names)), coordinates.driven), held)
         )
-        self._task = _ROWS[goal.task]
+        self._task = TASK_ROWS[goal.task]
         times = np.linspace(0.0, path.end, _INSTANTS)
         # bounds of the feedback
         self._most = max(_SLOWEST, float(np.linalg.norm(path.rows(times)[:, 7:13], axis=1).max()))

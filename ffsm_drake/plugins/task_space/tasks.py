@@ -30,7 +30,7 @@ from pydrake.multibody.tree import Frame
 from ffsm_drake.common.products import applied
 from ffsm_drake.plugins.task_space.resolved_motion import damped_inverse
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.free_floating import TASK_ROWS, FreeFloating
+from ffsm_drake.spacecraft.free_floating import FreeFloating
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import (
     ControlLaw,
@@ -39,7 +39,7 @@ from ffsm_drake.systems.controllers.law import (
     field_values,
     gain,
 )
-from ffsm_drake.systems.frame_path import goal_frame
+from ffsm_drake.systems.frame_path import goal_frame, tracked_rows
 from ffsm_drake.systems.setup import BlockSetup
 
 # fraction of the largest singular value below which a direction counts as missing in the arm
@@ -62,12 +62,11 @@ class TaskSpace:
         The default applies without a frame, or without prescribed rows. Raises ModelError: there is
         no such frame.
         """
-        goal, given = setup.scenario.reference.frame, setup.nominal
-        task = "pose" if goal is None or goal.task == "none" else goal.task
+        scenario, given = setup.scenario, setup.nominal
         # The whole model, not the reduced one that laws get otherwise.
         model = PlantModel(plant=given.plant, context=given.context, coordinates=given.coordinates)
-        frame = goal_frame(setup.scenario, model.plant)
-        return cls(model=model, frame=frame, rows=TASK_ROWS[task], driven=given.coordinates.driven)
+        frame, rows = goal_frame(scenario, model.plant), tracked_rows(scenario)
+        return cls(model=model, frame=frame, rows=rows, driven=given.coordinates.driven)
 
     def at(self, sample: Sample, *, damping: float) -> "TaskPoint":
         """Return the task at one sample; singular values below ``damping`` are damped."""

@@ -100,7 +100,7 @@ class Link(Part):
                 Metric(key=f"link.{name}", unit="1", label=f"Packets {name}", of=count(index))
                 for index, name in enumerate(FAULTS)
             ),
-            Metric(key="link.samples", unit="1", label="", column="", of=samples),
+            Metric(key="link.samples", unit="1", column="", of=samples),
         )
 
     def sentence(self, figures: Sequence[Figure]) -> str:

@@ -18,7 +18,7 @@ class _Named:
     # key; "": not there
     key: str
     unit: str
-    label: str  # label of the row in tables, or of the rows of values by name; "": no row
+    label: str = ""  # label of the row in tables, or of the rows of values by name; "": no row
     column: str | None = None  # column of campaigns; None: from the key, "": no column
     # heading of that column on the campaign's page; None: from label and unit, "": not shown
     heading: str | None = None
