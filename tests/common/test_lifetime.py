@@ -6,13 +6,11 @@ import sys
 import threading
 import weakref
 
-import numpy as np
 import pytest
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import load_scenario, make_nominal_plant, simulate
 from ffsm_drake.common.lifetime import holds_diagrams
-from ffsm_drake.loop.operator import make_operated_disturbance
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.systems.controllers import make_controller
 
@@ -78,24 +76,6 @@ def test_simulating_again_and_again_takes_no_more_memory(blocks):
 
     before = memory_after(3)
     assert memory_after(5) < before + 8.0
-
-
-def test_the_operators_disturbance_is_freed():
-    made = []
-
-    def operated(setup):
-        hands = {
-            "initial": np.array([1.0, 0.0, 0.0, 0.0]),
-            "poll": lambda time, q: np.array([2.0, 1.0, 0.0, 0.0]),
-        }
-        disturbance = make_operated_disturbance(setup, **hands)
-        made.extend(weakref.ref(part) for part in (disturbance, setup, *disturbance.GetSystems()))
-        return disturbance
-
-    scenario = load_scenario("postcapture", ["duration=0.05"])
-    simulate(scenario, blocks={"forces.disturbance": operated}, check_stability=False)
-    gc.collect()
-    assert [part() for part in made] == [None] * 4
 
 
 @pytest.mark.smoke

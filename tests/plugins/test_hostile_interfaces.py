@@ -269,7 +269,7 @@ def served():
     """A door, and what the server behind it was told."""
     from websockets.sync.server import serve
 
-    from ffsm_drake.plugins.exports.foxglove_live import FoxgloveDoor
+    from ffsm_drake.plugins.foxglove.view import FoxgloveDoor
 
     told = []
 

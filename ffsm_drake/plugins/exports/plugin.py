@@ -1,7 +1,7 @@
 from ffsm_drake.common.registrations import Plugin
 
 PLUGIN = Plugin(
-    about="Export of runs as CSV, MAT, MCAP, CCSDS or Parquet; live Foxglove",
+    about="Export of runs as CSV, MAT, MCAP, CCSDS or Parquet",
     page="interfaces",
     extras=("mcap", "parquet", "ros2"),
     uses=("flight",),
@@ -16,6 +16,5 @@ PLUGIN = Plugin(
             "oem": "exports.ccsds:write_oem",
             "parquet": "exports.tables:write_parquet",
         },
-        "live": {"foxglove": "exports.foxglove_live:watch"},
     },
 )

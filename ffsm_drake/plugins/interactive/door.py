@@ -1,7 +1,7 @@
 """A proxy between browsers and Drake's Meshcat server.
 
 Drake's server accepts connections from every page of every origin, and a frame that is not msgpack
-ends its thread. So it listens on a private port; a proxy (``common.door``) serves the page, accepts
+ends its thread. So it listens on a private port; a proxy (``live.door``) serves the page, accepts
 connections from it only, and forwards only clicks and slider values, newly encoded.
 """
 
@@ -18,7 +18,8 @@ from pydrake.geometry import Meshcat
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-from ffsm_drake.common.door import HOST, BadFrame, Door, header
+from ffsm_drake.common.loopback import HOST
+from ffsm_drake.plugins.live.door import BadFrame, Door, header
 from ffsm_drake.plugins.meshcat.stage import start_meshcat
 
 _PORTS = range(7000, 8000)

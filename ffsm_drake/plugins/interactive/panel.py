@@ -23,9 +23,9 @@ from pydrake.systems.framework import Diagram
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.common.numbers import counted
-from ffsm_drake.loop.operator import make_operated_disturbance
 from ffsm_drake.plugins.interactive.controls import CodeLock, Controls, label_text
 from ffsm_drake.plugins.interactive.door import keep_for_ever, live_server
+from ffsm_drake.plugins.live.operator import make_operated_disturbance
 from ffsm_drake.plugins.meshcat.arrows import Arrow
 from ffsm_drake.plugins.meshcat.stage import SpacecraftView, set_stage
 from ffsm_drake.runs.record import RunRecord

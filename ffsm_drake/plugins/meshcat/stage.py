@@ -28,8 +28,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from ffsm_drake.common.door import random_loopback
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.loopback import HOST, random_loopback
 from ffsm_drake.plugins.meshcat.solids import draw_over, draw_solids, solids_of
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.boxes import box_around, box_corners
@@ -108,7 +108,7 @@ def start_meshcat() -> Meshcat:
         if attempt < _TRIES:
             params.host = random_loopback()
         else:
-            params.host = "127.0.0.1"
+            params.host = HOST
         params.port = 10_000 + secrets.randbelow(50_000)
         with suppress(RuntimeError), quiet_drake():  # keeps the address off the terminal
             meshcat = Meshcat(params)

@@ -1,4 +1,4 @@
-"""A run as MCAP, read back by other libraries; a run live."""
+"""A run as MCAP, read back by other libraries."""
 
 import collections
 import sys
@@ -8,8 +8,6 @@ import pytest
 from click.testing import CliRunner
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform
-from websockets.exceptions import InvalidStatus
-from websockets.sync.client import connect
 
 from ffsm_drake import RunRecord, load_scenario, simulate
 from ffsm_drake.cli import main
@@ -18,8 +16,6 @@ pytest.importorskip("foxglove", reason="needs foxglove-sdk")
 reader = pytest.importorskip("mcap_protobuf.reader", reason="needs mcap-protobuf-support")
 
 from mcap.reader import make_reader  # noqa: E402
-
-from ffsm_drake.plugins.exports.foxglove_live import watch  # noqa: E402
 
 GRASP = 20.0
 
@@ -130,48 +126,3 @@ def test_ros_2_reads_it(run, tmp_path):
     force = record.dataset.applied_force.values[-1, 3:6]
     pull = found["/wrench"][-1].wrench.force
     np.testing.assert_array_equal([pull.x, pull.y, pull.z], force)
-
-
-def heard(address):
-    """What a server of Foxglove's protocol tells who connects, up to the topics."""
-    with connect(address, subprotocols=["foxglove.sdk.v1"], max_size=None) as line:
-        said = ""
-        while "/scene" not in said or "/tf" not in said:
-            said += str(line.recv(timeout=10))
-        return said
-
-
-def refused(address, **headers):
-    """The status with which a websocket is refused."""
-    with (
-        pytest.raises(InvalidStatus) as raised,
-        connect(address, subprotocols=["foxglove.sdk.v1"], additional_headers=headers),
-    ):
-        pass
-    return raised.value.response.status_code
-
-
-def test_a_run_is_served_while_it_goes():
-    scenario = load_scenario("postcapture", ["duration=0.3"])
-    lines, waits, answers = [], [], []
-
-    def wait(time):
-        waits.append(time)
-        if len(waits) == 10:
-            address = lines[0].split()[-1]
-            answers.append(heard(address))
-            bare, _, _ = address.rpartition("/")
-            answers.extend(
-                refused(bare + path, Origin=origin)
-                for path in ("", "/", "/x", "/" + 22 * "A", "/?token=x")
-                for origin in ("http://evil.example", "null", bare.replace("ws", "http"))
-            )
-            answers.append(refused(address, Host="evil.example"))
-
-    record = watch(scenario, port=0, tell=lines.append, wait=wait)
-    assert "ws://127.0.0.1:" in lines[0]
-    assert "ffsm_drake" in answers[0]
-    assert answers[1:] == 16 * [403]
-    expected = simulate(scenario, check_stability=False)
-    np.testing.assert_array_equal(record.dataset.position, expected.dataset.position)
-    assert sum(waits) < 0.35

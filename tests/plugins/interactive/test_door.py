@@ -22,10 +22,10 @@ from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidSta
 from websockets.sync.client import connect
 
 from ffsm_drake import RunRecord, load_scenario
-from ffsm_drake.common.door import BadFrame
 from ffsm_drake.plugins.interactive.controls import CODE, UNLOCK
 from ffsm_drake.plugins.interactive.door import live_server, page_event
 from ffsm_drake.plugins.interactive.panel import PAUSE, QUIT, start_button
+from ffsm_drake.plugins.live.door import BadFrame
 from ffsm_drake.plugins.meshcat.stage import set_stage
 
 VALUES = st.recursive(

@@ -13,10 +13,11 @@ import numpy as np
 from pydrake.systems.framework import Diagram
 from websockets.http11 import Request
 
-from ffsm_drake.common.door import HOST, BadFrame, Door, random_loopback
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.loop.operator import make_operated_disturbance
+from ffsm_drake.common.loopback import HOST, random_loopback
 from ffsm_drake.plugins.exports.foxglove_scene import Scene, foxglove_library
+from ffsm_drake.plugins.live.door import BadFrame, Door
+from ffsm_drake.plugins.live.operator import make_operated_disturbance
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario
@@ -38,7 +39,7 @@ def watch(
     """Run a scenario at real time, or its ``target_realtime_rate``, and serve ``/tf`` and
     ``/scene`` to Foxglove on 127.0.0.1 meanwhile.
 
-    The library's server obeys every page, so it is behind a proxy (``common.door``): clients must
+    The library's server obeys every page, so it is behind a proxy (``live.door``): clients must
     know the printed address, with a secret at its end.
 
     Args: the scenario; the port, 0: any; a function called with the line for the terminal; a

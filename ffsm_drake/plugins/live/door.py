@@ -10,7 +10,6 @@ import asyncio
 import contextlib
 import logging
 import re
-import secrets
 import threading
 from collections.abc import Iterable
 from http import HTTPStatus
@@ -22,16 +21,11 @@ from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.common.loopback import HOST
 
-HOST = "127.0.0.1"
 _MOST_PAGES = 16
 _REFUSED = 1008  # the websocket's code for a client that breaks the rules
 _LOOPBACK = re.compile(r"(localhost|127(\.\d{1,3}){3})(:\d+)?", re.ASCII)
-
-
-def random_loopback() -> str:
-    """Return an address of this machine only, 127.x.y.z, which other pages cannot guess."""
-    return ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
 
 
 def header(request: Request, name: str) -> str:
