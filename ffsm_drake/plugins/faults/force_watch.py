@@ -1,19 +1,22 @@
-"""Faults of wheels, joints and thrusters, in windows of blocks of unexplained motion."""
+"""Faults of wheels, joints and thrusters, in windows of blocks of unexplained motion.
+
+``wheel_watch``, ``joint_watch`` and ``thruster_watch`` have what decides on each.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from ffsm_drake.plugins.actuators.wheel_set import WHEEL_STOPS
+from ffsm_drake.plugins.faults.jam import JAMMED
+from ffsm_drake.plugins.faults.joint_watch import jammed, stand
 from ffsm_drake.plugins.faults.known import CODE, EVERY, KEPT, LEARNT, OLD, WINDOWS, Memory
-from ffsm_drake.plugins.faults.residuals import Suspicion, between, slope_of, suspect, times_of
 from ffsm_drake.plugins.faults.sensor_watch import SensorWatch, noise_of_mean
+from ffsm_drake.plugins.faults.thruster_watch import CONFIRMED, Suspicion, confirmed, suspect
+from ffsm_drake.plugins.faults.wheel_watch import stopped
+from ffsm_drake.plugins.faults.windows import slope_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 
-# consecutive evaluations that name the same thruster; share of the threshold required in them:
-# residuals that are not white stay within bounds
-_CONFIRMED, _ASKED = 4, 0.6
-_SPEED, _SHARE = 0.2, 0.3  # rad/s and share of the commanded impulse: tolerance of a wheel
-_STILL, _LEAST = 2e-5, 0.05  # for a jam: rad or m; N m or N beyond all bounds
 _PULSE = 0.1  # share of the largest impulse of a frame that is noise
 _FLEXIBLE = 4.0  # times the largest acceleration so far that flexible parts may give
 
@@ -81,7 +84,7 @@ class ForceWatch(SensorWatch):
                 if self._thrusters is not None and is_known:
                     most = np.max([np.abs(np.linalg.inv(each)) @ total for each in mass], axis=0)
                     most += _FLEXIBLE * memory.largest
-                    stands = self._stand(memory, blocks[-_CONFIRMED:])
+                    stands = self._stand(blocks[-CONFIRMED:])
                     holds = np.linalg.inv(mass[0])[:, NUM_BASE_VELOCITIES:][:, stands]
                     suspicions.append(self._look_at_thrusters(memory, blocks, pushes, most, holds))
                     self._confirm(memory, suspicions, window)
@@ -105,42 +108,35 @@ class ForceWatch(SensorWatch):
             memory.abort_request = 1.0
 
     def _look_at_wheels(self, memory: Memory, valid: int) -> None:
-        """Detect a momentum that does not follow the commanded torque."""
+        """Report stopped wheels."""
         assert self._wheels is not None
-        count = len(self._wheels.names)
-        for window in (each for each in (EVERY, *WINDOWS) if each < valid):
-            change = np.abs(memory.kept[-1] - memory.kept[-1 - window])
-            told, beyond = change[-2 * count :].reshape(2, count)
-            for index in np.flatnonzero(beyond > _SHARE * told + _SPEED * self._wheels.inertia):
-                self._notice(memory, f"wheels.{self._wheels.names[index]}", "stops")
+        windows = (each for each in (EVERY, *WINDOWS) if each < valid)
+        blocks = memory.kept[:, -2 * len(self._wheels.names) :]
+        for name in stopped(blocks, windows, self._wheels):
+            self._notice(memory, f"wheels.{name}", WHEEL_STOPS.name)
 
-    def _stand(self, memory: Memory, blocks: np.ndarray) -> np.ndarray:
-        """Mask of the joints that stand still."""
-        moved = blocks[:, self._at["moved"]]
-        most = _STILL + self._settings.threshold * self._position_noise / np.sqrt(EVERY)
-        still: np.ndarray = (np.ptp(moved, axis=0) < most)[NUM_BASE_VELOCITIES:]
-        return still
+    def _stand(self, blocks: np.ndarray) -> np.ndarray:
+        """Mask of the joints that stand still in blocks."""
+        noise = self._settings.threshold * self._position_noise / np.sqrt(EVERY)
+        return stand(blocks[:, self._at["moved"]], noise)
 
     def _look_at_joints(
         self, memory: Memory, blocks: np.ndarray, mass: Sequence[np.ndarray], bound: np.ndarray
     ) -> None:
-        """Detect joints at rest under a force beyond all bounds, for any payload mass.
-
-        The mean over a window of a force within +-D, by any weights, is within +-D at any
-        frequency.
-        """
-        nv, step, base = self._nv, EVERY * self._step, NUM_BASE_VELOCITIES
-        stands = self._stand(memory, blocks[len(blocks) // 2 :])
+        """Report jammed joints."""
+        stands = self._stand(blocks[len(blocks) // 2 :])
         if not stands.any():
             return
-        time = times_of(len(blocks), step)
-        slopes = (time @ blocks[:, self._at["left"]] / (time @ time)).reshape(-1, nv)
-        forces = np.array([each @ slope for each, slope in zip(mass, slopes, strict=True)])
-        noise = np.sqrt(mass[0] ** 2 @ self._noise(memory) ** 2 / (time @ time))
-        low, high = between(forces)
-        beyond = np.maximum(low, -high) - bound - self._settings.threshold * noise
-        for index in np.flatnonzero(stands & (beyond[base:] > _LEAST)):
-            self._notice(memory, f"joints.{self._model.coordinates.joints[index]}", "jammed")
+        are_jammed = jammed(
+            blocks[:, self._at["left"]],
+            mass,
+            bound=bound,
+            noise=self._noise(memory),
+            threshold=self._settings.threshold,
+            step=EVERY * self._step,
+        )
+        for index in np.flatnonzero(stands & are_jammed):
+            self._notice(memory, f"joints.{self._model.coordinates.joints[index]}", JAMMED.name)
 
     def _look_at_thrusters(
         self,
@@ -150,7 +146,7 @@ class ForceWatch(SensorWatch):
         bound: np.ndarray,
         holds: np.ndarray,
     ) -> Suspicion:
-        """The best hypothesis of ``residuals``; ``bound``: of accelerations (nv)."""
+        """The best hypothesis on thrusters; ``bound``: of accelerations (nv)."""
         assert self._thrusters is not None
         count, (left, told) = len(self._force), (blocks[:, self._at[e]] for e in ("left", "told"))
         pulse = _PULSE * self._thrusters.frame * np.abs(pushes * self._force).max(axis=1)
@@ -168,16 +164,7 @@ class ForceWatch(SensorWatch):
         )
 
     def _confirm(self, memory: Memory, suspicions: Sequence[Suspicion], window: int) -> None:
-        """Report the thruster of the last window after enough consecutive evaluations have named
-        it, with the kind of the best explanation in the window: before and after a fault's start
-        two kinds differ by a constant force.
-        """
-        found = suspicions[-1]
+        """Report the thruster that the last window names, if it is confirmed."""
         looks = memory.suspected[WINDOWS.index(window)]
-        before, looks[:] = looks[found.thruster], 0.0
-        if found.explained > (_ASKED * self._settings.threshold) ** 2 and found.is_isolated:
-            looks[found.thruster] = before + 1.0
-            if looks[found.thruster] >= _CONFIRMED:
-                same = [each for each in suspicions if each.thruster == found.thruster]
-                kind = max(same, key=lambda each: each.explained).kind
-                self._notice(memory, self._names[found.thruster], kind)
+        if kind := confirmed(suspicions, looks, self._settings.threshold):
+            self._notice(memory, self._names[suspicions[-1].thruster], kind)

@@ -4,8 +4,8 @@ import numpy as np
 
 from ffsm_drake.common.so3 import matrix_of, turning_matrix
 from ffsm_drake.plugins.faults.known import CODE, EVERY, LEARNT, OLD, Known, Memory
-from ffsm_drake.plugins.faults.residuals import slope_of, times_of
 from ffsm_drake.plugins.faults.sensors import entries_in_state
+from ffsm_drake.plugins.faults.windows import slope_of, times_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, position_error
 
 _REPEATED = 5  # samples with the same bits

@@ -14,7 +14,8 @@ from ffsm_drake.plugins.actuators.base import LOST
 from ffsm_drake.plugins.actuators.row import make_base_actuators
 from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
 from ffsm_drake.plugins.faults.detection import KINDS
-from ffsm_drake.plugins.faults.residuals import slope_of, suspect
+from ffsm_drake.plugins.faults.thruster_watch import suspect
+from ffsm_drake.plugins.faults.windows import slope_of
 from ffsm_drake.runs.limits import run_remarks
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Thrusters

@@ -1,4 +1,4 @@
-"""Evidence of faults in residuals over a window: pure functions of arrays.
+"""Faults of thrusters: evidence in a window of unexplained motion, as functions of arrays.
 
 The unexplained velocity is Y(t) = sum (dv - L H^-1 (tau - C)), with the reported force tau and H
 and C of a model's masses. Without faults it consists of noise and of bounded effects:
@@ -19,41 +19,23 @@ in all coordinates.
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 
+from ffsm_drake.plugins.actuators.thruster_faults import LEAKING, STUCK_OFF, STUCK_ON, WEAK
+from ffsm_drake.plugins.faults.windows import between, times_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 
 LEAST_LEAK, LEAST_LOSS, WHOLE = 0.08, 0.3, 0.75  # least shares theta: leak, loss, complete
 _MARGIN = 9.0  # least margin between the scores of an isolated thruster and of all others
 _LEFT = 2.0  # largest unexplained rest: times its share of the noise, or the explained part
 _SHARES = np.array([0.08, 0.12, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])  # theta
-_WIDER = 0.25  # widening of the interval between light and heavy payloads, as a share of it
 _HALVINGS = 40  # of the interval of a jam's force
 _FREQUENCIES = 24  # number of frequencies of the disturbances evaluated
-
-
-def times_of(count: int, step: float) -> np.ndarray:
-    """Times of blocks, from their mean (count), s."""
-    return step * (np.arange(count) - 0.5 * (count - 1))
-
-
-def noise_of(values: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """Standard deviation of white noise on slowly changing values (n, ...), at least the known one,
-    since few values are a poor estimate.
-    """
-    return np.maximum(np.sqrt((np.diff(values, n=2, axis=0) ** 2).mean(axis=0) / 6.0), least)
-
-
-def slope_of(
-    values: np.ndarray, step: float, least: np.ndarray | float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """The slope of values (n, ...) that are a time apart, and its standard deviation, with at
-    least a noise of each value.
-    """
-    time = times_of(len(values), step)
-    square, noise = float(time @ time), noise_of(values, np.asarray(least))
-    return np.tensordot(time, values, axes=1) / square, noise / np.sqrt(square)
+# consecutive evaluations that name the same thruster; share of the threshold required in them:
+# residuals that are not white stay within bounds
+CONFIRMED, _ASKED = 4, 0.6
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -65,13 +47,6 @@ class Suspicion:
     thruster: int
     kind: str
     theta: float
-
-
-def between(of_models: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The ends of the intervals that the values (models, ...) of payloads at their bounds span."""
-    low, high = of_models.min(axis=0), of_models.max(axis=0)
-    more = _WIDER * (high - low)
-    return low - more, high + more
 
 
 @functools.lru_cache(maxsize=16)
@@ -121,7 +96,7 @@ def suspect(
       band: largest frequency of a disturbance, rad/s.
       holds: accelerations (nv, joints) by unit forces on the joints that stand still.
     """
-    time, count = times_of(len(unexplained), step), force.size
+    time = times_of(len(unexplained), step)
     axes, largest = _axes(len(unexplained), step, band)
     of_models = np.tensordot(axes.T, unexplained, axes=1) / noise  # (m - 1, models, nv)
     room = largest[:, None] * (bound / noise)
@@ -129,37 +104,63 @@ def suspect(
     low, high = low - room, high + room
     shapes = axes.T @ np.hstack([time[:, None] * force - told, -told])  # (m - 1, 2 n)
     signature = shapes[:, None] * (np.tile(pushes, 2) / noise[:, None])  # (m - 1, nv, 2 n)
+    squares = _beyond(low, high, _SHARES, signature)
+    return _best(low, high, squares, in_use=in_use, holds=holds / noise[:, None])
 
-    def beyond(theta: np.ndarray, of: np.ndarray) -> np.ndarray:
-        """Sums of squares beyond the intervals (thetas, hypotheses)."""
-        taken = theta[:, None, None, None] * of
-        outside = np.maximum(low[..., None] - taken, 0.0) + np.maximum(taken - high[..., None], 0.0)
-        squares: np.ndarray = (outside**2).sum(axis=1)
-        return squares  # (thetas, nv, hypotheses)
 
-    base = slice(NUM_BASE_VELOCITIES)
-    squares, at_rest = beyond(_SHARES, signature), beyond(np.zeros(1), signature[..., :1])[0, :, 0]
+def _best(
+    low: np.ndarray, high: np.ndarray, squares: np.ndarray, *, in_use: np.ndarray, holds: np.ndarray
+) -> Suspicion:
+    """The hypothesis that leaves the least squares (thetas, nv, 2 n) beyond the intervals."""
+    base, count = slice(NUM_BASE_VELOCITIES), in_use.size
+    at_rest = _beyond(low, high, np.zeros(1), np.zeros((*low.shape, 1)))[0, :, 0]
     total = float(at_rest[base].sum())
     explained = total - squares[:, base].sum(axis=1)  # (thetas, 2 n)
     least = np.repeat([LEAST_LEAK, LEAST_LOSS], count)
     explained[(_SHARES[:, None] < least) | ~np.tile(in_use, 2)] = 0.0
     theta, best = np.unravel_index(int(explained.argmax()), explained.shape)
     most, share = float(explained[theta, best]), float(_SHARES[theta])
-    others = np.tile(np.arange(count), 2) != best % count
-    rest, size = total - most, low[:, base].size
+    others = explained[:, np.tile(np.arange(count), 2) != best % count]
+    is_clear = most - others.max(initial=0.0) > _MARGIN
+    is_enough = total - most < max(_LEFT * low[:, base].size, most)
     left = float(squares[..., best].sum(axis=1).min())
-    names = ("stuck_on", "leaking") if best < count else ("stuck_off", "weak")
+    is_no_jam = (_left_by_jams(low, high, holds) > left + _MARGIN).all()
+    whole, some = (STUCK_ON, LEAKING) if best < count else (STUCK_OFF, WEAK)
     return Suspicion(
         explained=most,
-        is_isolated=bool(
-            most - explained[:, others].max(initial=0.0) > _MARGIN
-            and rest < max(_LEFT * size, most)
-            and (_left_by_jams(low, high, holds / noise[:, None]) > left + _MARGIN).all()
-        ),
+        is_isolated=bool(is_clear and is_enough and is_no_jam),
         thruster=int(best) % count,
-        kind=names[0] if share > WHOLE else names[1],
+        kind=(whole if share > WHOLE else some).name,
         theta=share,
     )
+
+
+def confirmed(suspicions: Sequence[Suspicion], looks: np.ndarray, threshold: float) -> str:
+    """The kind of a fault of the thruster that the last of some windows names, if enough
+    consecutive evaluations have named it; empty: not yet.
+
+    It is that of the best explanation in the windows: before and after a fault's start two kinds
+    differ by a constant force. ``looks`` (n): evaluations that have named each thruster, updated.
+    """
+    found = suspicions[-1]
+    before, looks[:] = looks[found.thruster], 0.0
+    if found.explained <= (_ASKED * threshold) ** 2 or not found.is_isolated:
+        return ""
+    looks[found.thruster] = before + 1.0
+    if looks[found.thruster] < CONFIRMED:
+        return ""
+    same = [each for each in suspicions if each.thruster == found.thruster]
+    return max(same, key=lambda each: each.explained).kind
+
+
+def _beyond(low: np.ndarray, high: np.ndarray, theta: np.ndarray, of: np.ndarray) -> np.ndarray:
+    """Sums of squares beyond the intervals (thetas, nv, hypotheses) with shares ``theta`` of the
+    motion ``of`` hypotheses (m - 1, nv, hypotheses) taken off.
+    """
+    taken = theta[:, None, None, None] * of
+    outside = np.maximum(low[..., None] - taken, 0.0) + np.maximum(taken - high[..., None], 0.0)
+    squares: np.ndarray = (outside**2).sum(axis=1)
+    return squares
 
 
 def _left_by_jams(low: np.ndarray, high: np.ndarray, along: np.ndarray) -> np.ndarray:

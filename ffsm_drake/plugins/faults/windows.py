@@ -1,0 +1,35 @@
+"""Values over a window of time: their slope, noise and interval."""
+
+import numpy as np
+
+_WIDER = 0.25  # widening of the interval between light and heavy payloads, as a share of it
+
+
+def times_of(count: int, step: float) -> np.ndarray:
+    """Times of blocks, from their mean (count), s."""
+    return step * (np.arange(count) - 0.5 * (count - 1))
+
+
+def noise_of(values: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """Standard deviation of white noise on slowly changing values (n, ...), at least the known one,
+    since few values are a poor estimate.
+    """
+    return np.maximum(np.sqrt((np.diff(values, n=2, axis=0) ** 2).mean(axis=0) / 6.0), least)
+
+
+def slope_of(
+    values: np.ndarray, step: float, least: np.ndarray | float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """The slope of values (n, ...) that are a time apart, and its standard deviation, with at
+    least a noise of each value.
+    """
+    time = times_of(len(values), step)
+    square, noise = float(time @ time), noise_of(values, np.asarray(least))
+    return np.tensordot(time, values, axes=1) / square, noise / np.sqrt(square)
+
+
+def between(of_models: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The ends of the intervals that the values (models, ...) of payloads at their bounds span."""
+    low, high = of_models.min(axis=0), of_models.max(axis=0)
+    more = _WIDER * (high - low)
+    return low - more, high + more
