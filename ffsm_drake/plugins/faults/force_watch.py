@@ -70,7 +70,7 @@ class ForceWatch(SensorWatch):
             old = np.abs(slope_of(kept[:OLD, :nv], step)[0])
             memory.largest = np.maximum(memory.largest, old)
         mass = [model.calc_mass_matrix(memory.seen[: self._nq]) for model in self._models]
-        bound = self._bound(mass[0], memory.seen)
+        bound = self._bounds.of_force(mass[0], memory.seen)
         is_known = not self._is_flexible or bool(memory.largest.any())
         suspicions = list[Suspicion]()
         for window in (each for each in WINDOWS if each <= valid):
@@ -79,7 +79,7 @@ class ForceWatch(SensorWatch):
                 self._look_at_velocities(memory, blocks)
             if self._sees_forces and not self._are_velocities_off(memory, blocks):
                 acceleration = slope_of(blocks[:, self._at["velocity"]], step)[0]
-                total = bound + self._bound_payload(memory.seen, acceleration)
+                total = bound + self._bounds.of_payload(memory.seen, acceleration)
                 self._look_at_joints(memory, blocks, mass, total)
                 if self._thrusters is not None and is_known:
                     most = np.max([np.abs(np.linalg.inv(each)) @ total for each in mass], axis=0)

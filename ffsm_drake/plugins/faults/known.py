@@ -1,6 +1,4 @@
-"""What fault detection knows beforehand: the units and their noise, models, bounds of forces; and
-the layout of what it remembers.
-"""
+"""What fault detection knows beforehand: units, sensors and models. What it remembers."""
 
 import dataclasses
 import itertools
@@ -10,18 +8,17 @@ import numpy as np
 
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.actuators.base import LOST, STUCK_ON
-from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.plugins.actuators.row import make_base_actuators
 from ffsm_drake.plugins.actuators.thruster_faults import THRUSTER_FAULTS
 from ffsm_drake.plugins.actuators.wheel_set import WHEEL_STOPS
 from ffsm_drake.plugins.estimators.assumed_noise import assumed_noise
+from ffsm_drake.plugins.faults.bounds import Bounds
 from ffsm_drake.plugins.faults.jam import JAMMED
 from ffsm_drake.plugins.faults.sensors import SENSOR_FAULTS, reports_losses, sensors_of
 from ffsm_drake.scenario import Scenario, thrusters_of
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, damping_of, make_nominal_plant
-from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.systems.sensing.errors import measurement_times
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -33,7 +30,6 @@ CODE = {kind: float(code) for code, kind in enumerate(KINDS)}
 EVERY, KEPT, OLD = 5, 61, 20
 WINDOWS = (8, 24, 60)  # blocks
 LEARNT = 50  # samples, or blocks, after which a variance is known
-_OFF = 0.2  # uncertain share of the payload's radius of gyration (centre) and moments
 _BANDWIDTH = {"base_rotation": 8.0, "base_position": 2.0, "joints": 10.0}  # rad/s
 
 
@@ -79,7 +75,6 @@ class Known:
         factor = self._settings.payload_factor if setup.grip.holds else 1.0
         # the nominal one, those with a light and with a heavy payload
         self._models = [self._model, *_extremes(scenario, factor)]
-        self._payload = (scenario.payload.body, held.mass, 0.5 * sum(held.inertia[:3]))
         self._damping = damping_of(self._model.plant)
         self._is_flexible = bool(scenario.model.flexible)
         actuation = allocated(scenario)
@@ -89,60 +84,12 @@ class Known:
                 actuation, coordinates, sample_time=self._step, detects=True
             )
         self._read_sensors(scenario, coordinates)
-        self._bound_disturbance(scenario, coordinates)
-        nothing = np.zeros(self._nv)
-        self._friction, self._viscous = nothing, nothing
-        if actuation.drives is not None:
-            drives = DriveSet(actuation.drives, actuation.limit, coordinates)
-            base = np.zeros(NUM_BASE_VELOCITIES)
-            self._friction = np.concatenate([base, drives.static])
-            self._viscous = np.concatenate([base, drives.viscous])
+        self._bounds = Bounds(setup)
         # of the observer of lost velocities: three equal poles for each coordinate, without
         # steady-state error under a constant unreported force
         w = coordinates.vector(_BANDWIDTH, key="bandwidth", default=0.0)
         self._gains = np.array([3.0 * w, 3.0 * w**2, w**3]) * self._step
         self._lay_out()
-
-    def _bound_disturbance(self, scenario: Scenario, coordinates: Coordinates) -> None:
-        """The largest external force (nv), and twice that of an orbit by inertia, 1/s^2."""
-        given, of = self._settings.disturbance, scenario.disturbance
-        self._orbital = 0.0
-        if given is not None:
-            key = "faults.detection.disturbance"
-            self._disturbance = coordinates.vector(given, key=key, default=0.0)
-            return
-        largest = {
-            name: abs(of.amplitude_scale) * (abs(each.amplitude) + abs(each.bias))
-            for name, each in of.harmonics.items()
-        }
-        self._disturbance = coordinates.vector(largest, key="disturbance.harmonics", default=0.0)
-        if scenario.environment is not None:
-            self._orbital = 3.0 * float(Orbit.of(scenario.environment).rate) ** 2
-
-    def _bound(self, mass: np.ndarray, state: np.ndarray) -> np.ndarray:
-        """The largest force (nv) that is neither reported nor a fault, friction included."""
-        inertia = 0.5 * np.trace(mass[:3, :3]) + mass[3, 3] * (state[4:7] @ state[4:7])
-        orbital = self._orbital * np.sqrt(np.diag(mass) * inertia)
-        rates = np.abs(state[self._nq :])
-        bound: np.ndarray = self._disturbance + orbital + self._friction + self._viscous * rates
-        return bound
-
-    def _bound_payload(self, state: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-        """The largest force (nv) of a payload whose centre of mass and axes of inertia are not the
-        nominal ones, at an acceleration (nv).
-        """
-        model, (name, mass, moment) = self._model, self._payload
-        if mass == 0.0:
-            return np.zeros(self._nv)
-        q, v = np.split(state, [self._nq])
-        jacobian = model.calc_jacobian(q, name)
-        moved = jacobian @ acceleration + model.calc_bias_acceleration(q, v, name)
-        turning = np.linalg.norm(moved[:3]) + np.sum((jacobian[:3] @ v) ** 2)
-        offset = _OFF * np.sqrt(mass * moment)  # its mass times how far its centre is off
-        torque = offset * np.linalg.norm(moved[3:]) + _OFF * moment * turning
-        sizes = np.linalg.norm(jacobian.reshape(2, 3, -1), axis=1)
-        bound: np.ndarray = torque * sizes[0] + offset * turning * sizes[1]
-        return bound
 
     def _read_sensors(self, scenario: Scenario, coordinates: Coordinates) -> None:
         """Read the sensors' properties: update pattern and noise."""

@@ -1,9 +1,10 @@
-"""Faults of sensors: silent, frozen, biased; and what replaces them."""
+"""Faults of sensors: silent, frozen, biased; and their ends."""
 
 import numpy as np
 
-from ffsm_drake.common.so3 import matrix_of, turning_matrix
-from ffsm_drake.plugins.faults.known import CODE, EVERY, LEARNT, OLD, Known, Memory
+from ffsm_drake.common.so3 import matrix_of
+from ffsm_drake.plugins.faults.correction import Correction, moved
+from ffsm_drake.plugins.faults.known import CODE, EVERY, LEARNT, OLD, Memory
 from ffsm_drake.plugins.faults.sensors import entries_in_state
 from ffsm_drake.plugins.faults.windows import slope_of, times_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, position_error
@@ -13,66 +14,10 @@ _ALIKE = 0.3  # largest difference of a change that ends a bias, as a share of i
 _JUMP, _SLOPE = 1e-3, 1e-3  # m or rad, m/s or rad/s; smaller sensor errors are ignored
 
 
-class SensorWatch(Known):
-    """A lost position is extrapolated with its velocity, a lost velocity comes from an observer of
-    position and reported force, a bias is subtracted (base sensors: in the base's axes). A sensor
-    that works again is read again.
+class SensorWatch(Correction):
+    """Compares each sensor with the other one of its coordinate. A sensor that works again is read
+    again.
     """
-
-    @staticmethod
-    def _of_base(R: np.ndarray, off: np.ndarray) -> np.ndarray:
-        """Errors of positions and velocities (2 nv) with the base's vectors turned by R."""
-        turned = off.copy().reshape(2, -1)
-        base = turned[:, :NUM_BASE_VELOCITIES].reshape(2, 2, 3)
-        turned[:, :NUM_BASE_VELOCITIES] = (base @ R.T).reshape(2, -1)
-        return turned.ravel()
-
-    def _correct(
-        self,
-        memory: Memory,
-        raw: np.ndarray,
-        seen: np.ndarray,
-        expected: np.ndarray,
-        new: np.ndarray | None,
-        *,
-        is_first: bool,
-    ) -> None:
-        """Write the measured state, without lost sensors and biases, into ``seen`` of the memory;
-        ``seen`` is the one before.
-        """
-        nq, nv = self._nq, self._nv
-        off = self._of_base(matrix_of(seen[:4]), memory.off)
-        q, v = _moved(raw[:nq], -off[:nv]), raw[nq:] - off[nv:]
-        lost, old = self._lost(memory.codes), self._old(new)
-        v = np.where(old[nv:], seen[nq:] + expected, v)
-        if lost[nv:].any():
-            before, speed = np.split(memory.observed, [nq])
-            change = expected + self._step * memory.acceleration
-            ahead = _moved(before, self._step * (speed + 0.5 * change))
-            of_q, of_v, of_a = self._gains * position_error(q, ahead)
-            speed = speed + change + of_v
-            memory.observed = np.concatenate([_moved(ahead, of_q), speed])
-            memory.acceleration += of_a
-            v = np.where(lost[nv:], speed, v)
-        lost = lost | old
-        if lost[:nv].any() and not is_first:
-            carried = _moved(seen[:nq], 0.5 * self._step * (seen[nq:] + v))
-            q = np.where(np.concatenate([lost[:1], lost[:nv]]), carried, q)
-        memory.seen[:] = np.concatenate([q, v])
-
-    def _old(self, new: np.ndarray | None) -> np.ndarray:
-        """Mask of the measurements (2 nv) that a sensor without delay or period did not renew."""
-        if new is None:
-            return np.zeros(2 * self._nv, dtype=bool)
-        return self._is_prompt & (new[1:] == 0.0)
-
-    def _lost(self, codes: np.ndarray) -> np.ndarray:
-        """Mask of the measurements (2 nv) that are replaced."""
-        lost = np.zeros(2 * self._nv, dtype=bool)
-        for name, entries in self._sensors.items():
-            if codes[self._unit(name)] in (CODE["frozen"], CODE["silent"]):
-                lost[entries] = self._is_prompt[entries]
-        return lost
 
     def _jammed(self, codes: np.ndarray) -> np.ndarray:
         """Mask of the jammed coordinates (nv)."""
@@ -85,8 +30,8 @@ class SensorWatch(Known):
     ) -> None:
         """Detect silent, frozen or jumping sensors, and those that work again."""
         nq, now = self._nq, memory.seen
-        moved = position_error(now[:nq], before[:nq])
-        slip = moved - 0.5 * self._step * (now[nq:] + before[nq:])
+        change = position_error(now[:nq], before[:nq])
+        slip = change - 0.5 * self._step * (now[nq:] + before[nq:])
         memory.since += np.tile(slip, 2)
         memory.stale[:] = 0.0 if new is None else np.where(new > 0.0, 0.0, memory.stale + 1.0)
         lost, joints = self._lost(memory.codes), self._jammed(memory.codes)
@@ -114,7 +59,7 @@ class SensorWatch(Known):
         gain = 1.0 / min(memory.samples + 1.0, 4.0 * LEARNT)
         memory.jitter += gain * (slip**2 - memory.jitter)
         memory.sums[self._at["slip"]] += slip
-        memory.sums[self._at["moved"]] += moved
+        memory.sums[self._at["moved"]] += change
 
     def _is_silent(self, memory: Memory, sensor: str) -> bool:
         """Whether a sensor has reported no new measurement for too long."""
@@ -151,7 +96,7 @@ class SensorWatch(Known):
         found = np.zeros(2 * nv)
         found[entries] = slip[entries]
         memory.off += self._of_base(matrix_of(now[:4]).T, found)
-        now[:nq] = _moved(now[:nq], -found[:nv])
+        now[:nq] = moved(now[:nq], -found[:nv])
         slip[entries] = 0.0
 
     def _works_again(self, memory: Memory, sensor: str, slip: np.ndarray, *, same: bool) -> bool:
@@ -189,7 +134,7 @@ class SensorWatch(Known):
         if kind != "biased" and entries[0] < nv:  # changes missed meanwhile
             missed = np.zeros(nv)
             missed[entries] = memory.since[entries]
-            now[:nq] = _moved(now[:nq], -missed)
+            now[:nq] = moved(now[:nq], -missed)
         elif kind != "biased":
             memory.observed[:] = now
             memory.acceleration[:] = 0.0
@@ -197,14 +142,6 @@ class SensorWatch(Known):
         if (lost[:nv] & lost[nv:]).any() or not self._is_prompt[entries].all():
             memory.abort_request = 1.0
         self._forget(memory)
-
-    def _renewed(self, new: np.ndarray, codes: np.ndarray) -> np.ndarray:
-        """A value in a lost sensor's place is new."""
-        new = new.copy()
-        for name, entries in self._sensors.items():
-            if codes[self._unit(name)] and self._is_prompt[entries].all():
-                new[entries_in_state(entries)] = 1.0
-        return new
 
     def _slips(self, memory: Memory, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Difference (nv) between velocities and the slopes of their positions beyond the usual
@@ -252,10 +189,3 @@ def noise_of_mean(square: np.ndarray) -> np.ndarray:
     """The noise of a block's mean, from the mean square of the differences of its samples."""
     noise: np.ndarray = np.sqrt(square / (2.0 * EVERY))
     return noise
-
-
-def _moved(q: np.ndarray, by: np.ndarray) -> np.ndarray:
-    """A configuration (nq) after a rotation vector and differences (nv)."""
-    moved = np.concatenate([q[:4], q[4:] + by[3:]])
-    moved[:4] = turning_matrix(by[:3]) @ q[:4]
-    return moved
