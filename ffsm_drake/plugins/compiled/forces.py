@@ -20,16 +20,13 @@ from ffsm_drake.systems.sampled import NEXT, Now
 _OF_FORCES = {"generalized_force": "forced", "hidden_force": "loose"}
 
 
-class Forces:
+class Forces(Instant):
     """The forces of a loop at an instant."""
-
-    def __init__(self, at: Instant) -> None:
-        self._at, self._of, self._cells = at, at.blocks, at.cells
 
     def derivative(self) -> Made:
         """The rates of the plant's state, and of the flows'."""
-        cells, of, state = self._cells, self._of, self._at.alive(self._cells.state)
-        q, v = np.split(state[: self._at.num_plant], [of.tree.num_positions])
+        cells, of, state = self.cells, self.blocks, self.alive(self.cells.state)
+        q, v = np.split(state[: self.num_plant], [of.tree.num_positions])
         time, held = cells.t[0], {name: getattr(cells, name) for name in of.held}
         force, rates = self._others(state, time, **held)
         for each in self._last(state, time, force):
@@ -38,30 +35,30 @@ class Forces:
 
     def touching(self) -> Made:
         """What becomes of forces that step several times, at an instant at which they step."""
-        signals, touches, made = self._at.states(self._at.x), self._touches, list[Any]()
-        for placed, block in self._at.sampled("forces"):
+        signals, touches, made = self.states(self.x), self._touches, list[Any]()
+        for placed, block in self.sampled("forces"):
             if placed.cell != "touched":
                 continue
             if block.per_sample:
-                outputs = self._at.step(placed, block, signals, Now(self._cells.t0[0]))
+                outputs = self.step(placed, block, signals, Now(self.cells.t0[0]))
             else:
                 outputs = touches[placed.name]
-                self._at.keep(placed)
-            made += [outputs[port] for port in self._of.touches[placed.name]]
-        return self._at.unless_lost({"touch": joined(made), "touched": self._at.kept("touched")})
+                self.keep(placed)
+            made += [outputs[port] for port in self.blocks.touches[placed.name]]
+        return self.unless_lost({"touch": joined(made), "touched": self.kept("touched")})
 
     def at_sample(self, now: Now, measured: dict[str, Any]) -> dict[str, Any]:
         """The forces of a sample: those of this instant and those that are held. What they show is
         noted among the signals.
         """
-        of, cells = self._of, self._cells
+        of, cells = self.blocks, self.cells
         each = [traced(force_at(now.time, cells.sines.reshape(4, -1)))]
         held = traced(np.zeros(of.nv + len(of.loose)))
         on_hidden = traced(np.zeros(len(of.loose)))
-        signals, touches = self._at.states(self._at.x), self._touches
-        for placed, block in self._at.sampled("forces"):
+        signals, touches = self.states(self.x), self._touches
+        for placed, block in self.sampled("forces"):
             if (found := touches.get(placed.name, {})) == {}:
-                found = self._at.step(placed, block, signals, now)
+                found = self.step(placed, block, signals, now)
                 if unknown := {name.removeprefix(NEXT) for name in found} - _OF_FORCES.keys():
                     raise NotTraceable(f"{type(block).__name__} with an output {min(unknown)}")
                 held = self._along(held, found)
@@ -70,8 +67,8 @@ class Forces:
                 on_hidden = on_hidden + _at_instant(found, "hidden_force")
         if of.parts["last"]:
             before, _ = parted(cells.held_before, zeros(of.held))
-            others = self._others(self._at.x, now.time, **before)[0]
-            for outputs in self._last(self._at.x, now.time, others):
+            others = self._others(self.x, now.time, **before)[0]
+            for outputs in self._last(self.x, now.time, others):
                 each.append(outputs["generalized_force"])
                 measured |= {name: outputs[name] for name in of.shown_last if name in outputs}
         return {
@@ -86,7 +83,7 @@ class Forces:
     def _along(self, force: Any, outputs: Mapping[str, Any]) -> Any:
         """A force on the plant with the outputs of another one."""
         for name in _OF_FORCES.keys() & outputs.keys():
-            entries = list(getattr(self._of, _OF_FORCES[name]))
+            entries = list(getattr(self.blocks, _OF_FORCES[name]))
             force[entries] = force[entries] + outputs[name]
         return force
 
@@ -94,9 +91,9 @@ class Forces:
     def _touches(self) -> dict[str, dict[str, Any]]:
         """The held outputs of forces that do not step once."""
         found = dict[str, dict[str, Any]]()
-        if self._of.touches:
-            values = self._cells.touch
-            for name, outputs in self._of.touches.items():
+        if self.blocks.touches:
+            values = self.cells.touch
+            for name, outputs in self.blocks.touches.items():
                 found[name], values = parted(values, outputs)
         return found
 
@@ -106,11 +103,11 @@ class Forces:
         Args: the plant's state and theirs; held outputs of actuators, none at a sample.
         """
         rates, found = list[Any](), dict[str, Any]()
-        signals, values = self._at.states(x) | {**held}, x[self._at.num_plant :]
-        for name, flow in self._of.parts["flows"].items():
+        signals, values = self.states(x) | {**held}, x[self.num_plant :]
+        for name, flow in self.blocks.parts["flows"].items():
             own, values = parted(values, at_start(flow))
             given = read(flow, zeros(flow.inputs) | signals)
-            outputs, changes = self._at.parts["flows"][name].flow(given, own)
+            outputs, changes = self.parts["flows"][name].flow(given, own)
             found |= {name: traced(value) for name, value in outputs.items()}
             rates += [traced(changes[name]) for name in own]
         return rates, found
@@ -119,12 +116,12 @@ class Forces:
         self, x: Any, time: Any, *, applied_force: Any, push: Any, acted: Any
     ) -> tuple[Any, list[Any]]:
         """All forces on the plant but the last ones, at an instant, and the rates of the flows."""
-        parts, _ = parted(acted, zeros(self._of.acted))
+        parts, _ = parted(acted, zeros(self.blocks.acted))
         rates, flown = self.flow(x, parts)
-        disturbance = force_at(time, self._cells.sines.reshape(4, -1))
-        force = traced(np.zeros(self._of.tree.num_velocities))
-        force[list(self._of.forced)] = applied_force + disturbance
-        if self._of.has_slow:
+        disturbance = force_at(time, self.cells.sines.reshape(4, -1))
+        force = traced(np.zeros(self.blocks.tree.num_velocities))
+        force[list(self.blocks.forced)] = applied_force + disturbance
+        if self.blocks.has_slow:
             force = force + push
         for outputs in self._touches.values():
             force = self._along(force, outputs)
@@ -134,13 +131,13 @@ class Forces:
 
     def _last(self, x: Any, time: Any, others: Any) -> list[dict[str, Any]]:
         """Outputs of the last forces."""
-        if not self._of.parts["last"]:
+        if not self.blocks.parts["last"]:
             return []
-        force = others[list(self._of.forced)]
-        signals = self._at.states(x) | {"other_force": force, "time": traced([time])}
-        corrections, _ = parted(self._cells.corrected, zeros(self._of.corrects))
+        force = others[list(self.blocks.forced)]
+        signals = self.states(x) | {"other_force": force, "time": traced([time])}
+        corrections, _ = parted(self.cells.corrected, zeros(self.blocks.corrects))
         found = list[dict[str, Any]]()
-        for name, block in self._at.parts["last"].items():
+        for name, block in self.parts["last"].items():
             inputs = signals | {"correction": corrections.get(name)}
             outputs, _ = block.flow(read(block, inputs), {})
             found.append({each: traced(values) for each, values in outputs.items()})
@@ -148,8 +145,8 @@ class Forces:
 
     def _corrections(self) -> list[Any]:
         """What the last forces correct from a sample on."""
-        signals = self._at.states(self._at.x)
-        return [self._at.parts["last"][name].correct(signals) for name in self._of.corrects]
+        signals = self.states(self.x)
+        return [self.parts["last"][name].correct(signals) for name in self.blocks.corrects]
 
 
 def _at_instant(outputs: Mapping[str, Any], name: str) -> Any:

@@ -9,8 +9,7 @@ import numpy as np
 from ffsm_drake.plugins.compiled import marching
 from ffsm_drake.plugins.compiled.blocks import COUNTS, Blocks
 from ffsm_drake.plugins.compiled.code import of_lanes
-from ffsm_drake.plugins.compiled.forces import Forces
-from ffsm_drake.plugins.compiled.instant import Instant, Made
+from ffsm_drake.plugins.compiled.instant import Made
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.compiled.sampling import Sampling
 from ffsm_drake.plugins.compiled.schemes import SCHEMES
@@ -18,7 +17,7 @@ from ffsm_drake.plugins.tape.arrays import inputs
 from ffsm_drake.plugins.tape.numbers import NotTraceable, Tape, number
 from ffsm_drake.plugins.tape.tangents import tangents
 
-Traceable = Callable[[Instant], Made]
+Traceable = Callable[[Sampling], Made]
 
 _NOISE = ("noise", "drift_noise")  # of a row, the only numbers with a derivative
 
@@ -55,22 +54,19 @@ def functions_of(blocks: Blocks, *, steps: int, begins: bool) -> dict[str, Trace
     scheme = SCHEMES[blocks.scheme]
     made: dict[str, Traceable] = {
         "instants": functools.partial(marching.instants, times=scheme.times),
-        "derivative": lambda at: Forces(at).derivative(),
+        "derivative": Sampling.derivative,
         "carried": marching.carried,
     }
     if blocks.called:
-        made |= {
-            "sensed": lambda at: Sampling(at).sensed(),
-            "acted": lambda at: Sampling(at).acted(),
-        }
+        made |= {"sensed": Sampling.sensed, "acted": Sampling.acted}
     else:
-        made["sample"] = lambda at: Sampling(at).sample(is_first=False)
+        made["sample"] = functools.partial(Sampling.sample, is_first=False)
         if begins:
-            made["first"] = lambda at: Sampling(at).sample(is_first=True)
+            made["first"] = functools.partial(Sampling.sample, is_first=True)
     if begins:
         made["judged"] = marching.judged
     if blocks.per_sample > 1:
-        made["touching"] = lambda at: Forces(at).touching()
+        made["touching"] = Sampling.touching
     *points, last = scheme.points
     for i, weights in enumerate(points):
         made[f"point{i}"] = functools.partial(marching.point, weights=weights)
@@ -97,7 +93,7 @@ def traced_function(blocks: Blocks, made: Traceable) -> Traced:
     cells = _Cells(tape, sizes)
     results = {
         each: [number(one) for one in np.asarray(values, dtype=object).ravel()]
-        for each, values in made(Instant(blocks, cells)).items()
+        for each, values in made(Sampling(blocks, cells)).items()
     }
     for each, values in results.items():
         if len(values) != sizes[each]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ffsm_drake.loop.blocks import TOLD
 from ffsm_drake.plugins.compiled.forces import Forces
-from ffsm_drake.plugins.compiled.instant import Instant, Made
+from ffsm_drake.plugins.compiled.instant import Made
 from ffsm_drake.plugins.compiled.models import traced_model
 from ffsm_drake.plugins.compiled.parameters import with_symbols
 from ffsm_drake.plugins.compiled.stepping import joined, parted, stepped, zeros
@@ -23,16 +23,12 @@ from ffsm_drake.systems.quantization import quantize
 from ffsm_drake.systems.sampled import Now
 
 
-class Sampling:
+class Sampling(Forces):
     """A control sample of a loop."""
-
-    def __init__(self, at: Instant) -> None:
-        self._at, self._of, self._cells = at, at.blocks, at.cells
-        self._forces = Forces(at)
 
     def sample(self, *, is_first: bool) -> Made:
         """A sample, which is a first one for the law or not."""
-        now = Now(self._cells.t0[0], is_first=is_first)
+        now = Now(self.cells.t0[0], is_first=is_first)
         signals, made = self._measured(now)
         force, memory = self._control(signals, now)
         made |= {"generalized_force": force, "memory_after": memory}
@@ -40,48 +36,48 @@ class Sampling:
 
     def sensed(self) -> Made:
         """Of a sample, what comes before the call of the law."""
-        signals, made = self._measured(Now(self._cells.t0[0]))
-        if self._of.tells_new:
+        signals, made = self._measured(Now(self.cells.t0[0]))
+        if self.blocks.tells_new:
             made["is_new"] = signals["measurement_is_new"]
-        if self._of.gyrates:
-            held, _ = parted(self._cells.held_before, zeros(self._of.held))
-            acted, _ = parted(held["acted"], zeros(self._of.acted))
-            made["gyroscopic"] = self._forces.flow(self._at.x, acted)[1]["gyroscopic_force"]
+        if self.blocks.gyrates:
+            held, _ = parted(self.cells.held_before, zeros(self.blocks.held))
+            acted, _ = parted(held["acted"], zeros(self.blocks.acted))
+            made["gyroscopic"] = self.flow(self.x, acted)[1]["gyroscopic_force"]
         return made
 
     def acted(self) -> Made:
         """Of a sample, what comes after the call of the law."""
-        cells = self._cells
+        cells = self.cells
         force, now = cells.generalized_force, Now(cells.t0[0])
         return self._given(force, now, cells.push, cells.watched_after)
 
     def _measured(self, now: Now) -> tuple[dict[str, Any], dict[str, Any]]:
         """The signals that the law can read, and results of the sample."""
-        of, cells, nx = self._of, self._cells, self._of.nq + self._of.nv
-        known, hidden = self._at.states(self._at.x).values()
+        of, cells, nx = self.blocks, self.cells, self.blocks.nq + self.blocks.nv
+        known, hidden = self.states(self.x).values()
         signals = {"state": known, "true_state": known, "drift": cells.drift}
         if of.noisy:
             signals["white"] = cells.deviation * cells.noise
-        for placed, stage in self._at.sampled("sensing"):
-            outputs = self._at.step(placed, stage, signals, now)
+        for placed, stage in self.sampled("sensing"):
+            outputs = self.step(placed, stage, signals, now)
             signals |= outputs | {"state": outputs["estimated_state"]}
         plan = cells.reference[:nx], cells.reference[nx:]
         if of.watch is not None:
-            plan = of.watch.follow(self._at.remembered(cells.watched), *plan)
+            plan = of.watch.follow(self.remembered(cells.watched), *plan)
         signals["desired_state"], signals["desired_acceleration"] = plan
         return signals, {
             "known": known,
             "hidden": hidden,
             "measurement": signals["estimated_state"],
             "drift_after": cells.share * cells.drift + cells.added * cells.drift_noise,
-            **self._forces.at_sample(now, signals),
+            **self.at_sample(now, signals),
             **self._watched(signals, now),
-            "stored_after": self._at.kept("stored"),
+            "stored_after": self.kept("stored"),
         }
 
     def _control(self, signals: Mapping[str, Any], now: Now) -> tuple[Any, Any]:
         """The force and the law's memory after a sample."""
-        of, cells = self._of, self._cells
+        of, cells = self.blocks, self.cells
         law = with_symbols(of.law, cells.law, cells.planned, traced_model)
         block = LawBlock(law, of.coordinates, errors=tracking_errors)
         signals = {**signals, "applied_force": cells.applied}
@@ -90,7 +86,7 @@ class Sampling:
         inputs = {name: signals[name] for name in block.inputs if signals.get(name) is not None}
         memory, _ = parted(cells.memory, of.memory)
         if of.watch is not None and now.is_first:
-            afresh = self._at.remembered(cells.watched)["restart"].item() != 0.0
+            afresh = self.remembered(cells.watched)["restart"].item() != 0.0
             at_begin, _ = parted(cells.law_at_start, of.memory)
             memory = {name: np.where(afresh, at_begin[name], memory[name]) for name in memory}
         outputs, after = stepped(block, block.outputs, inputs, memory, now)
@@ -98,22 +94,22 @@ class Sampling:
 
     def _given(self, force: Any, now: Now, push: Any, watched: Any) -> dict[str, Any]:
         """What becomes of the law's force."""
-        of, cells, commanded = self._of, self._cells, force
+        of, cells, commanded = self.blocks, self.cells, force
         if of.watch is not None:
-            force = of.watch.give(self._at.remembered(watched), force)
+            force = of.watch.give(self.remembered(watched), force)
         given = force
         if of.limited:
             force = np.minimum(np.maximum(force, -cells.limit), cells.limit)
         if of.quantized:
             force = quantize(force, cells.force_resolution)
         waiting = np.concatenate([force, cells.waiting])  # newest first
-        _, flown = self._forces.flow(self._at.x, {})
-        signals = {**self._at.states(self._at.x), **flown}
+        _, flown = self.flow(self.x, {})
+        signals = {**self.states(self.x), **flown}
         signals["isolated"] = np.zeros(of.found("isolated"))  # a call ends the run before
         force = waiting[-of.nv :]
-        for placed, block in self._at.sampled("actuation"):
+        for placed, block in self.sampled("actuation"):
             command, applied = next(iter(block.inputs)), next(iter(block.outputs))
-            signals |= self._at.step(placed, block, signals | {command: force}, now)
+            signals |= self.step(placed, block, signals | {command: force}, now)
             force = signals[applied]
         if of.limp:
             force = np.concatenate([force[:NUM_BASE_VELOCITIES], cells.joint_force])
@@ -125,24 +121,24 @@ class Sampling:
             "acted": joined(acted),
             "flown": joined(flown[name] for name in of.flown),
             "waiting_after": waiting[: -of.nv],
-            "loaded_after": self._at.kept("loaded"),
+            "loaded_after": self.kept("loaded"),
             "held_after": joined([force, push, *acted] if holds else ()),
             **({} if of.watch is None else {"commanded_after": commanded, "given": given}),
         }
 
     def _watched(self, signals: Mapping[str, Any], now: Now) -> dict[str, Any]:
         """What the supervisor does."""
-        cells, of = self._cells, self._of
+        cells, of = self.cells, self.blocks
         if of.watch is None:
             return {"watched_after": traced([])}
         request = np.concatenate([cells.request, cells.requested]).sum(keepdims=True)
         given = {"generalized_force": cells.commanded, "abort_request": request}
-        ((placed, watch),) = self._at.sampled("supervisor")
-        found = self._at.step(placed, watch, {**signals, **given}, now)
-        after, asks = self._at.kept("watched"), found["asks"]
+        ((placed, watch),) = self.sampled("supervisor")
+        found = self.step(placed, watch, {**signals, **given}, now)
+        after, asks = self.kept("watched"), found["asks"]
         if of.num_planned:  # of a plan that follows from what is measured now
-            goes_on = self._at.remembered(after)["restart"] != 0.0
-            goes_on = goes_on & (self._at.remembered(cells.watched)["answer"] == 0.0)
+            goes_on = self.remembered(after)["restart"] != 0.0
+            goes_on = goes_on & (self.remembered(cells.watched)["answer"] == 0.0)
             asks = np.where((asks == 0.0) & goes_on, 2.0, asks)
         return {
             "mode": joined([found["mode"], found["mode_cause"]]), "asks": asks,
