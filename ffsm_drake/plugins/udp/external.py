@@ -24,7 +24,7 @@ from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
 from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.common.lifetime import untie, weak_callback
 from ffsm_drake.plugins.udp.packets import (
-    FRAME,
+    FLAG_OF,
     HAS_FRAME,
     HAS_NEW,
     HOLDS,
@@ -34,6 +34,7 @@ from ffsm_drake.plugins.udp.packets import (
     Packet,
     open_socket,
     read,
+    request_sizes,
 )
 from ffsm_drake.systems.controllers.law import Gain, gain_values
 from ffsm_drake.systems.parts.metrics import Figure, Metric
@@ -139,18 +140,8 @@ class External(LeafSystem):
         self.set_name(setup.name)
         nv, nq = len(setup.coordinates.names), len(setup.coordinates.position_names)
         self._undriven = np.flatnonzero(~setup.coordinates.is_driven)
-        self._needed = [
-            self.DeclareVectorInputPort(name, size)
-            for name, size in (
-                ("estimated_state", nq + nv),
-                ("desired_state", nq + nv),
-                ("desired_acceleration", nv),
-                ("applied_force", nv),
-            )
-        ]
-        self._optional = {HAS_NEW: self.DeclareVectorInputPort("measurement_is_new", nq + nv)}
-        if self.tracks_frame:
-            self._optional[HAS_FRAME] = self.DeclareVectorInputPort("desired_frame", FRAME)
+        sizes = request_sizes(nq, nv, HAS_NEW | HAS_FRAME * self.tracks_frame)
+        self._ports = {name: self.DeclareVectorInputPort(name, n) for name, n in sizes.items()}
         self._force = self.DeclareDiscreteState(nv)
         # number of the run, 0 before the first sample; flag HOLDS of the last sample
         self._before = self.DeclareDiscreteState(2)
@@ -172,19 +163,17 @@ class External(LeafSystem):
             self._link = _Link(self._settings, self._connected(), run=int(run), first=sample)
         is_first = is_new or phase != self._phase
         flags, values = self._phase | IS_FIRST * is_first, []
-        for port in self._needed:
-            values.append(
-                port.Eval(context) if port.HasValue(context) else state.value(self._force)
-            )
-        for flag, port in self._optional.items():
+        for name, port in self._ports.items():
             if port.HasValue(context):
-                flags |= flag
+                flags |= FLAG_OF.get(name, 0)
                 values.append(port.Eval(context))
+            elif name == "applied_force":
+                values.append(state.value(self._force))
         packet = Packet(
             run=int(run), sample=sample, time=context.get_time(), flags=flags,
             values=np.concatenate(values),
         )  # fmt: skip
-        force = self._link.exchange(packet, size=self._force_size(state), is_new=is_new)
+        force = self._link.exchange(packet, size=state.value(self._force).size, is_new=is_new)
         discrete_values.set_value(self._before, [run, self._phase])
         discrete_values.set_value(self._faults, [self._link.faults[name] for name in FAULTS])
         if force is not None:
@@ -194,9 +183,6 @@ class External(LeafSystem):
     def _connected(self) -> socket.socket:
         place = f"controller '{self.get_name() or type(self).__name__}': host"
         return open_socket("connect", self.host, int(self._settings.port), key=place)
-
-    def _force_size(self, state: DiscreteValues) -> int:
-        return int(state.value(self._force).size)
 
 
 class _Link:

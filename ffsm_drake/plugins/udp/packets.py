@@ -18,13 +18,14 @@ from collections.abc import Mapping
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.systems.frame_path import FRAME_SIZE
 
 VERSION = 1
 IS_FIRST, HAS_NEW, HAS_FRAME, HOLDS = 1, 2, 4, 8  # flags
 _FLAGS = IS_FIRST | HAS_NEW | HAS_FRAME | HOLDS
+FLAG_OF = {"measurement_is_new": HAS_NEW, "desired_frame": HAS_FRAME}  # of an optional port
 LARGEST = 65_507  # bytes of a UDP packet
 MOST_PORT = 65_535
-FRAME = 19
 _MOST = 1e9  # rad, m, N m, N
 _NORM = 0.1  # tolerance of a quaternion's norm, which integrators let drift
 _HEAD = struct.Struct("<4sHHQQd")
@@ -63,11 +64,8 @@ def read(data: bytes) -> Packet | None:
     return Packet(run=run, sample=sample, time=time, flags=flags, values=values)
 
 
-def inputs_of(packet: Packet, num_positions: int, num_velocities: int) -> Mapping[str, np.ndarray]:
-    """The controller's inputs in a request, by port.
-
-    Raises ValueError: the request is of another size, or holds what no spacecraft measures.
-    """
+def request_sizes(num_positions: int, num_velocities: int, flags: int) -> dict[str, int]:
+    """Numbers of a request with some flags, by port of the controller, in their order."""
     state = num_positions + num_velocities
     sizes = {
         "estimated_state": state,
@@ -75,10 +73,16 @@ def inputs_of(packet: Packet, num_positions: int, num_velocities: int) -> Mappin
         "desired_acceleration": num_velocities,
         "applied_force": num_velocities,
     }
-    if packet.flags & HAS_NEW:
-        sizes["measurement_is_new"] = state
-    if packet.flags & HAS_FRAME:
-        sizes["desired_frame"] = FRAME
+    optional = {"measurement_is_new": state, "desired_frame": FRAME_SIZE}
+    return sizes | {name: size for name, size in optional.items() if FLAG_OF[name] & flags}
+
+
+def inputs_of(packet: Packet, num_positions: int, num_velocities: int) -> Mapping[str, np.ndarray]:
+    """The controller's inputs in a request, by port.
+
+    Raises ValueError: the request is of another size, or holds what no spacecraft measures.
+    """
+    sizes = request_sizes(num_positions, num_velocities, packet.flags)
     if packet.values.size != sum(sizes.values()):
         raise ValueError(
             f"a request of {packet.values.size} numbers, not {sum(sizes.values())}: another "
