@@ -16,6 +16,7 @@ from random_missions import Mission, Rng, Settings
 
 from ffsm_drake.plugins.design.stability.planned_dynamics import make_demand
 from ffsm_drake.scenario import load_scenario
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import complete_gains
 
 FOLDER = Path("out/built")  # of the URDFs
@@ -157,7 +158,7 @@ def _actuators(rng: Rng, base: str, given: Settings) -> Settings:
     settings: Settings = {"actuation.limit": None}
     overrides = [f"{k}={json.dumps(v)}" for k, v in given.items() if k != "faults"]
     scenario = load_scenario(base, [*overrides, "actuation.limit=null"])
-    demand = make_demand(scenario)
+    demand = make_demand(make_mission(scenario))
     peak = {
         group: float(np.abs(demand.force[:, own]).max())
         for group, own in demand.coordinates.groups.items()

@@ -27,7 +27,7 @@ from ffsm_drake.plugins.new.asked import Asked
 from ffsm_drake.plugins.new.first_scenario import new_scenario
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Fault, Scenario, load_scenario
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.systems.faults import settle_faults
 
 ROOT = Path(__file__).parents[1]

@@ -30,7 +30,9 @@ from ffsm_drake.runs.limits import limits_left
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import EMPTY, Posture, Scenario, load_scenario
 from ffsm_drake.scenario.capture import Approach
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant
+from ffsm_drake.spacecraft.mission import make_mission
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import find_frame
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import AlongMotion, PlannedReference
@@ -162,12 +164,14 @@ class Planner:
             tried = [self._meeting(drawn, end, grip) for grip in _GRIPS]
             turn_of = [np.linalg.norm(motion._ends[2][:3]) for _, motion in tried]
             for scenario, motion in (tried[k] for k in np.argsort(turn_of)[:4]):
-                share = shares_of(scenario)(motion.rows(np.linspace(0.0, end, 40)))
+                share = shares_of(make_mission(scenario))(motion.rows(np.linspace(0.0, end, 40)))
                 least = min(least, share)
                 if share > SHARE:
                     continue
                 path = _path(drawn, motion)
-                found = margins_of(scenario, Backwards(motion, sample_time=0.01), path, instants=60)
+                found = margins_of(
+                    make_mission(scenario), Backwards(motion, sample_time=0.01), path, instants=60
+                )
                 nearest = max(nearest, found.distance)
                 if found.distance >= CLEARANCE:
                     return Plan(

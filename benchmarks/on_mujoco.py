@@ -11,6 +11,7 @@ import numpy as np
 from ffsm_drake.common.so3 import rotation_error_rate
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, position_errors
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import gain_vectors
 from ffsm_drake.systems.reference import make_motion
 
@@ -128,7 +129,7 @@ class NumpyLaw:
             Arm.of(len(coordinates.joints)).mjcf(scenario.payload.nominal)
         )
         self.nominal_data = mujoco.MjData(self.nominal)
-        self.motion = make_motion(scenario, coordinates)
+        self.motion = make_motion(make_mission(scenario))
         self.gains = gain_vectors(scenario, coordinates)
         harmonics = scenario.disturbance.harmonics
         self.harmonics = [

@@ -42,6 +42,7 @@ from ffsm_drake.plugins.workers.pool import Runs, WorkerLost, local_workers, sto
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.limits import broken_limits
 from ffsm_drake.runs.simulate import prepare
+from ffsm_drake.spacecraft.mission import make_mission
 
 GOOD, WARNED, UNKNOWN = "no alarm", "alarm", "cannot say"
 KINDS: dict[str, Callable[[np.random.Generator], Mission]] = {
@@ -200,7 +201,9 @@ def fly(scenario: Scenario) -> End:
     try:
         log = rollout.run()
         end = end_of(log)
-        broken = broken_limits(other, make_table(log)) if end.kind in COMPLETED else []
+        broken = (
+            broken_limits(make_mission(other), make_table(log)) if end.kind in COMPLETED else []
+        )
         return dataclasses.replace(end, kind="beyond", message=broken[0]) if broken else end
     finally:
         rollout.release()

@@ -21,6 +21,7 @@ from ffsm_drake.plugins.task_space.free_motion import FreeMotion
 from ffsm_drake.show.figures.axes import STYLE
 from ffsm_drake.show.style import BLUE, VERMILION
 from ffsm_drake.spacecraft.coordinates import position_errors
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.frame_path import goal_frame, make_frame_path
 from ffsm_drake.systems.reference import make_motion
 
@@ -53,17 +54,17 @@ def compare(name: str) -> Comparison:
     given = [*AT_ORIGIN, MOTION, f"reference.frame={GOALS[name]}"]
     scenario = ffsm_drake.load_scenario(name, [*given, "actuation.driven=[joints]"])
     model = ffsm_drake.make_nominal_plant(scenario)
-    resolved = make_motion(scenario, model.coordinates)
+    resolved = make_motion(make_mission(scenario))
     # the base stays where it is
     held = ffsm_drake.load_scenario(name, [*given, "actuation.driven=[all]"])
-    fixed = make_motion(held, model.coordinates)
+    fixed = make_motion(make_mission(held))
     # its joints, with the base free
     played = FreeMotion(fixed, model=model, sample_time=scenario.sample_time)
 
     played.accuracy = 1e-8  # enough here, of what is itself integrated
 
     times, frame = np.linspace(0.0, resolved.end, 201), goal_frame(scenario, model.plant)
-    path, misses, turns = make_frame_path(scenario, model).rows(times), [], []
+    path, misses, turns = make_frame_path(make_mission(scenario), model).rows(times), [], []
     for motion in (played, resolved):
         q = motion.rows(times)[:, : len(model.coordinates.position_names)]
         poses = np.empty((times.size, 7))

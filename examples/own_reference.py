@@ -18,7 +18,7 @@ class Swing(LeafSystem):
     def __init__(self, setup):
         super().__init__()
         self.nv = len(setup.coordinates.names)
-        self.start = make_motion(setup.scenario, setup.coordinates).evaluate(0.0)[0]
+        self.start = make_motion(setup.mission).evaluate(0.0)[0]
         self.angle = setup.settings.get("angle", 0.1)
         self.omega = setup.settings.get("omega", 0.5)
         self.DeclareVectorOutputPort("desired_state", 2 * self.nv + 1, self.calc_state)

@@ -22,8 +22,9 @@ from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.simulate import compare, simulate, simulate_many
 from ffsm_drake.scenario import Scenario, load_scenario, override_scenario
 from ffsm_drake.show.outputs import write_outputs
+from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers import ControlLaw, InjectedDynamics, Sample, gain
 from ffsm_drake.systems.parts.metrics import Metric
 from ffsm_drake.systems.parts.part import Part

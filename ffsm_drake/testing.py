@@ -36,7 +36,8 @@ from ffsm_drake.scenario import (
     scenario_from_dict,
     scenario_to_dict,
 )
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import Craft
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import make_controller
 from ffsm_drake.systems.frame_path import goal_frame
 from ffsm_drake.systems.reference import make_motion
@@ -184,11 +185,10 @@ class _Candidate:
     gains: Mapping[str, PerCoordinate]
 
     def build(self, scenario: Scenario) -> System:
-        nominal = make_nominal_plant(scenario)
         key = getattr(self.factory, "__name__", type(self.factory).__name__)
-        own = dataclasses.replace(scenario, controllers={key: dict(self.gains)})
-        controller = make_controller(own, nominal, self.factory)
-        check_ports(controller, "controller", nominal.coordinates, place=str(self))
+        mission = Mission(dataclasses.replace(scenario, controllers={key: dict(self.gains)}))
+        controller = make_controller(mission, mission.craft.nominal(), self.factory)
+        check_ports(controller, "controller", mission.craft.coordinates, place=str(self))
         return controller
 
     def run(self, scenario: Scenario, samples: Sequence[Sample]) -> np.ndarray:
@@ -236,9 +236,9 @@ class _Bench:
 
 def _inputs(scenario: Scenario, *, seed: int) -> list[Sample]:
     """Samples along the planned motion with small random errors."""
-    nominal = make_nominal_plant(scenario)
+    mission = Mission(scenario)
+    nominal, reference = mission.craft.nominal(), make_motion(mission)
     coordinates, frame = nominal.coordinates, goal_frame(scenario, nominal.plant)
-    reference = make_motion(scenario, coordinates)
     random = np.random.default_rng(seed)
     samples = []
     for k in range(_SAMPLES):
@@ -355,7 +355,7 @@ def _check_names(candidate: _Candidate, scenario: Scenario) -> str:
     with tempfile.TemporaryDirectory() as folder:
         one = two_armed(scenario, ("left", "right"), Path(folder) / "left_first.urdf")
         two = two_armed(scenario, ("right", "left"), Path(folder) / "right_first.urdf")
-        listed, otherwise = (make_nominal_plant(model).coordinates.names for model in (one, two))
+        listed, otherwise = (Craft(model).coordinates.names for model in (one, two))
         order = np.array([listed.index(name) for name in otherwise])
         samples = _inputs(one, seed=6)
         first = candidate.run(one, samples)

@@ -288,7 +288,7 @@ class Reference(Pass):
 
     def calc(self, context, name, size):
         posture = self.setup.scenario.initial_posture
-        q = configuration(self.setup.nominal.plant, posture, key="initial_posture")
+        q = configuration(self.setup.nominal.coordinates, posture, key="initial_posture")
         state = np.concatenate([q, np.zeros(q.size - 1)])
         return state if name == "desired_state" else np.zeros(size)
 

@@ -8,6 +8,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from ffsm_drake import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.coordinates import tracking_errors
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import Sample, make_law
 
 # of postcapture: the nominal payload as the true one, and a posture
@@ -34,7 +35,10 @@ def flown(scenario, reference, duration, *, start=None, disturbance=None):
       start: [q; v] (nq + nv); default: the reference's.
       disturbance: t -> generalized force (nv) on the plant.
     """
-    law, true = make_law(scenario, make_nominal_plant(scenario)), make_true_plant(scenario)
+    law, true = (
+        make_law(make_mission(scenario), make_nominal_plant(scenario)),
+        make_true_plant(scenario),
+    )
     plant: MultibodyPlant = true.plant
     simulator = Simulator(plant, true.context.Clone())
     config = scenario.simulator_config

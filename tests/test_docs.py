@@ -39,7 +39,8 @@ from ffsm_drake.scenario import (
     scenario_to_dict,
     shipped_scenarios,
 )
-from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import ControlLaw, InjectedDynamics, controller_names
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import shipped_names
@@ -422,7 +423,7 @@ def test_the_baselines_sampled_limit(controller, coordinate):
     scenario = load_scenario("postcapture")
     posture = json.dumps(scenario_to_dict(scenario)["initial_posture"])
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
-    q = make_motion(scenario, nominal.coordinates).evaluate(0.0)[0]
+    q = make_motion(make_mission(scenario)).evaluate(0.0)[0]
     held = [
         "duration=2",
         "disturbance.amplitude_scale=0",

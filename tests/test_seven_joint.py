@@ -17,9 +17,10 @@ from scipy.spatial.transform import Rotation
 import ffsm_drake
 from ffsm_drake import load_scenario
 from ffsm_drake.scenario import MassProperties
+from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
-from ffsm_drake.spacecraft.plant import add_combined_plant, configuration
+from ffsm_drake.spacecraft.mission import Mission, make_mission
+from ffsm_drake.spacecraft.plant import add_combined_plant, configuration, coordinates_of
 from ffsm_drake.systems.controllers import PAPER_LAWS
 from ffsm_drake.systems.reference import make_motion
 
@@ -179,7 +180,9 @@ def test_controllers_converge(run, controller, seed):
 def body_places(plant: MultibodyPlant, scenario):
     context = plant.CreateDefaultContext()
     for key in ("initial_posture", "target_posture"):
-        plant.SetPositions(context, configuration(plant, getattr(scenario, key), key=key))
+        plant.SetPositions(
+            context, configuration(coordinates_of(plant), getattr(scenario, key), key=key)
+        )
         for k in range(1, plant.num_bodies()):
             yield plant.get_body(BodyIndex(k)).EvalPoseInWorld(context).translation()
 
@@ -202,7 +205,7 @@ def test_clearances_are_those_of_the_documentation():
         cube[name] = scene_graph.RegisterGeometry(source, frame, instance)
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
-    motion = make_motion(scenario, make_true_plant(scenario).coordinates)
+    motion = make_motion(make_mission(scenario))
 
     def query(time):
         plant.SetPositions(plant.GetMyMutableContextFromRoot(context), motion.evaluate(time)[0])
@@ -238,7 +241,7 @@ def test_camera_looks_at_the_middle_of_the_spacecraft_and_sees_all_of_it(name):
     plant = add_combined_plant(builder, scenario.model)
     stage = pytest.importorskip("ffsm_drake.plugins.meshcat.stage")
     camera, center = stage.camera_pose(
-        plant, scenario, builder.GetSubsystemByName("scene_graph").model_inspector()
+        plant, Mission(scenario), builder.GetSubsystemByName("scene_graph").model_inspector()
     )
     ahead = (center - camera) / np.linalg.norm(center - camera)
     places = np.array(list(body_places(plant, scenario)))

@@ -138,7 +138,7 @@ def _distances(records: Sequence["RunRecord"]) -> list[float] | None:
     distances, missing = [], dict[str, list[str]]()  # reason -> controllers
     for record in records:
         try:
-            distances.append(find_limit(record.scenario).distance)
+            distances.append(find_limit(record.mission).distance)
         except FfsmError as error:
             missing.setdefault(one_line(error), []).append(record.scenario.controller)
             distances.append(math.nan)

@@ -123,7 +123,7 @@ def _conclude(
 ) -> bool:
     """Print how a run ended. Return whether it failed, or did not settle as ``require`` says."""
     with trying("conclusion"):
-        beyond = limits.broken_limits(record.scenario, record.dataset)
+        beyond = limits.broken_limits(record.mission, record.dataset)
         name = f"{record.scenario.controller}: " if is_named else ""
         end = f" Not as planned: {'; '.join(beyond)}." if beyond else ""
         click.echo(f"{name}{record.ending.sentence}{end}", err=as_json)

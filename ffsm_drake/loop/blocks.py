@@ -20,7 +20,8 @@ from ffsm_drake.common.errors import BlockError, ScenarioError, choices
 from ffsm_drake.common.guard import calling
 from ffsm_drake.common.settings import require_valid
 from ffsm_drake.scenario import Block, Scenario, build_settings, kind_of
-from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import resolve_package
 from ffsm_drake.systems.continuous import Continuous, InstantSystem
@@ -158,18 +159,14 @@ _TAKEN = (
 
 
 def make_blocks(
-    scenario: Scenario,
-    nominal: PlantModel,
-    factories: Mapping[str, Factory] | None = None,
-    split: StateSplit | None = None,
+    mission: Mission, nominal: PlantModel, factories: Mapping[str, Factory] | None = None
 ) -> tuple[dict[str, System], dict[str, PlacedPart]]:
     """All blocks by name, checked, and the parts among them; no ``actuation`` if it is ideal.
 
     Args:
-      scenario: the scenario with the systems of its blocks.
+      mission: its scenario has the systems of the blocks.
       nominal: the plant with the nominal payload; the controller's own.
       factories: block -> factory in place of the scenario's choice; "forces.<name>" for a force.
-      split: known and hidden coordinates of the true plant.
 
     Raises:
       ScenarioError: a value is given for an unknown coordinate; an unknown block or name.
@@ -177,12 +174,11 @@ def make_blocks(
     """
     given = factories or {}
     _check_names(given)
-    scenario = settle_faults(scenario, nominal.coordinates)
+    scenario = settle_faults(mission.scenario, mission.craft.coordinates)
+    mission = mission.of(scenario)
     choices = scenario.blocks.choices()
     own = section_parts(scenario, given, grip=nominal.grip)  # parts of its own sections
-    plain = BlockSetup(
-        name="", scenario=scenario, nominal=nominal, settings={}, split=split or StateSplit()
-    )
+    plain = BlockSetup(name="", mission=mission, nominal=nominal, settings={})
     blocks, placed, others = dict[str, System](), dict[str, PlacedPart](), dict[str, PlacedPart]()
     for name in _in_order((*own, *choices, *given)):
         choice = choices.get(name, Block())
@@ -212,7 +208,7 @@ def _made(
     scenario, kind = setup.scenario, kind_of(name)
     if name == "controller":
         place = f"controller '{getattr(given, '__name__', scenario.controller)}'"
-        made: Any = make_controller(scenario, setup.nominal, given)
+        made: Any = make_controller(setup.mission, setup.nominal, given)
         fill: Any = getattr(made, "part", None)  # of a system of its own
         check_ports(made, kind, setup.coordinates, place=place)
         return made, fill

@@ -42,13 +42,9 @@ from ffsm_drake.loop.blocks import (
 )
 from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario, kind_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
-from ffsm_drake.spacecraft.nominal import (
-    PlantModel,
-    change_payload,
-    make_nominal_plant,
-    set_true_masses,
-)
-from ffsm_drake.spacecraft.plant import configuration, coordinates_of, make_plant, split_of
+from ffsm_drake.spacecraft.mission import Mission, make_mission
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.spacecraft.start import state_at_start
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.parts.placed import Parts
@@ -96,10 +92,8 @@ class ClosedLoop:
       0
     """
 
-    scenario: Scenario
+    mission: Mission
     plant: MultibodyPlant  # the true one, with hidden coordinates
-    coordinates: Coordinates
-    split: StateSplit
     # "reference", "sensing", "controller", "forces.disturbance", other forces; "actuation" unless
     # it is ideal
     blocks: Mapping[str, System]
@@ -108,6 +102,21 @@ class ClosedLoop:
     parts: Parts = dataclasses.field(default_factory=dict)  # parts among ``blocks``
     grip: Grip = HELD  # what holds the target
     diagram: Any = None  # the Diagram, after ``make_closed_loop``; its outputs are the signals
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario of a run."""
+        return self.mission.scenario
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """Names of the known coordinates."""
+        return self.mission.craft.coordinates
+
+    @property
+    def split(self) -> StateSplit:
+        """Known and hidden coordinates of the plant."""
+        return self.mission.craft.split
 
     @property
     def tracks_frame(self) -> bool:
@@ -132,17 +141,11 @@ class ClosedLoop:
         # First: it resets every state and parameter of the diagram.
         root.SetRandomContext(root_context, RandomGenerator(scenario.random_seed))
         context = self.plant.GetMyMutableContextFromRoot(root_context)
-        set_true_masses(self.plant, context, scenario, self.grip)
+        self.mission.craft.set_true_masses(self.plant, context, self.grip)
         for placed in self.parts.values():
             placed.part.check_plant(scenario, self.model(context))
         self._tell("set_payload", root_context, self.grip.carried(scenario.payload).truth)
-        self.set_whole_state(root_context, state_at_start(scenario, self.model(context)))
-
-    def true_model(self, scenario: Scenario) -> PlantModel:
-        """Return the plant in a new context with a scenario's true masses."""
-        context = self.plant.CreateDefaultContext()
-        set_true_masses(self.plant, context, scenario, self.grip)
-        return self.model(context)
+        self.set_whole_state(root_context, state_at_start(self.mission, self.model(context)))
 
     def model(self, plant_context: Context) -> PlantModel:
         """Return the plant in one of its contexts, for computations."""
@@ -157,7 +160,7 @@ class ClosedLoop:
     def set_payload(self, root_context: Context, properties: MassProperties) -> None:
         """Set the payload's true mass properties in the plant and in the blocks that use them."""
         context = self.plant.GetMyMutableContextFromRoot(root_context)
-        change_payload(self.plant, context, self.scenario, properties)
+        self.mission.craft.change_payload(self.plant, context, properties)
         self._tell("set_payload", root_context, properties)
 
     def set_state(self, root_context: Context, state: np.ndarray) -> None:
@@ -226,7 +229,7 @@ class ClosedLoop:
 @guarded
 def add_closed_loop(
     builder: DiagramBuilder,
-    scenario: Scenario,
+    scenario: Scenario | Mission,
     *,
     blocks: Mapping[str, Factory] | None = None,
     plant: MultibodyPlant | None = None,
@@ -237,7 +240,7 @@ def add_closed_loop(
 
     Args:
       builder: the builder of the diagram.
-      scenario: the scenario to build.
+      scenario: the scenario to build, or its mission.
       blocks: block -> factory (BlockSetup -> Drake system), which replaces a block of the scenario,
         such as ``{"sensing": Vicon, "forces.friction": Friction}``; see ``loop.blocks``.
       plant: a plant that is already in the diagram (``add_combined_plant``, for display); default:
@@ -262,38 +265,30 @@ def add_closed_loop(
       >>> loop.plant.num_velocities()
       11
     """
+    mission = make_mission(scenario)
+    _check_coordinates(mission.scenario, mission.craft.coordinates)
     if plant is None:
-        plant = builder.AddNamedSystem("plant", make_plant(scenario.model, flexible=True))
-    coordinates, split = coordinates_of(plant, undriven=scenario.undriven), split_of(plant)
-    _check_coordinates(scenario, plant, coordinates)
-    nominal = make_nominal_plant(scenario, grip)
-    blocks_by_name, parts = make_blocks(scenario, nominal, blocks, split)
-    for system in blocks_by_name.values():
+        plant = builder.AddNamedSystem("plant", mission.craft.whole.Clone())
+    made, parts = make_blocks(mission, mission.craft.nominal(grip), blocks)
+    for system in made.values():
         builder.AddSystem(system)
-    wiring = _Wiring(builder, plant, coordinates, split, blocks_by_name, scenario.sample_time)
+    wiring = _Wiring(builder, plant, mission, made)
     wiring.connect(parts, joint_force)
     return ClosedLoop(
-        parts=parts,
-        scenario=scenario,
-        plant=plant,
-        coordinates=coordinates,
-        split=split,
-        blocks=blocks_by_name,
-        sources=wiring.sources,
-        grip=grip,
+        parts=parts, mission=mission, plant=plant, blocks=made, sources=wiring.sources, grip=grip
     )
 
 
-def _check_coordinates(scenario: Scenario, plant: MultibodyPlant, coordinates: Coordinates) -> None:
+def _check_coordinates(scenario: Scenario, coordinates: Coordinates) -> None:
     """Raise ScenarioError for a value of an unknown coordinate."""
     for name, posture in scenario.postures.items():
-        configuration(plant, posture, key=name)
+        configuration(coordinates, posture, key=name)
     for name in ("initial_velocity", "tolerance"):
         coordinates.check_names(getattr(scenario, name), key=name)
 
 
 def make_closed_loop(
-    scenario: Scenario, *, blocks: Mapping[str, Factory] | None = None, grip: Grip = HELD
+    scenario: Scenario | Mission, *, blocks: Mapping[str, Factory] | None = None, grip: Grip = HELD
 ) -> ClosedLoop:
     """Build the closed loop of a scenario as a Drake diagram.
 
@@ -335,13 +330,12 @@ class _Wiring:
         self,
         builder: DiagramBuilder,
         plant: MultibodyPlant,
-        coordinates: Coordinates,
-        split: StateSplit,
+        mission: Mission,
         blocks: Mapping[str, System],
-        sample_time: float,
     ) -> None:
-        self._builder, self._plant, self._sample_time = builder, plant, sample_time
-        self._coordinates, self._split, self._blocks = coordinates, split, blocks
+        self._builder, self._plant, self._blocks = builder, plant, blocks
+        self._coordinates, self._split = mission.craft.coordinates, mission.craft.split
+        self._sample_time = mission.scenario.sample_time
         self._controller = blocks["controller"]
         self._stages, self._forces = (
             [system for name, system in blocks.items() if kind_of(name) == kind]

@@ -9,6 +9,7 @@ from ffsm_drake.runs.engine import DRAKE, Engine, find_engine, on_drake
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import make_rollout, user_supplied
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.mission import Mission
 
 _FAILURES = (Exception, SystemExit)  # Drake's refusals may be the latter
 _FEWEST = 4
@@ -25,36 +26,36 @@ def usual_batch(engine: Engine | None = None, *, samples: int = 1) -> int:
 
 
 def run_many(
-    scenarios: Sequence[Scenario],
+    missions: Sequence[Mission],
     *,
     batch: int | None = None,
     engine: str = DRAKE,
     signals: Collection[str] | None = None,
     kept: "Kept | None" = None,
 ) -> Iterator[tuple[int, RunLog | Exception]]:
-    """Run scenarios, in no fixed order.
+    """Run missions, in no fixed order.
 
     Args:
-      scenarios: the scenarios, with durations in seconds (``timed``).
+      missions: the missions, with durations in seconds (``timed``).
       batch: largest number of runs at once on the engine; default: ``usual_batch``.
       engine: what computes the runs (``find_engine``). A run that it does not cover, or that fails
         or diverges, is computed by Drake, and its log has the reason.
       signals: see ``Engine.run_all``.
       kept: rollouts of the caller, to be reused; default: own ones, freed at the end.
 
-    Yields: the index of a scenario and its log, or the exception of its run.
+    Yields: the index of a mission and its log, or the exception of its run.
 
     Raises:
       FfsmError: the engine is unknown.
       KeyboardInterrupt: interrupted from the keyboard.
     """
     own = find_engine(engine)
-    left = dict.fromkeys(range(len(scenarios)), DRAKE)  # and the engine in their logs
+    left = dict.fromkeys(range(len(missions)), DRAKE)  # and the engine in their logs
     if own is not None:
-        samples = max((scenario.num_control_periods for scenario in scenarios), default=1)
+        samples = max((each.scenario.num_control_periods for each in missions), default=1)
         most, left = batch or usual_batch(own, samples=samples), {}
-        for first in range(0, len(scenarios), most):
-            found = own.run_all(scenarios[first : first + most], signals)
+        for first in range(0, len(missions), most):
+            found = own.run_all(missions[first : first + most], signals)
             for index, log in enumerate(found, start=first):
                 if isinstance(log, RunLog):
                     yield index, log
@@ -63,7 +64,7 @@ def run_many(
     rollouts = kept or Kept()
     try:
         for index, name in left.items():
-            result = _on_drake(rollouts, scenarios[index])
+            result = _on_drake(rollouts, missions[index])
             if isinstance(result, RunLog):
                 result = dataclasses.replace(result, engine=name)
             yield index, result
@@ -72,11 +73,11 @@ def run_many(
             rollouts.drop()
 
 
-def _on_drake(kept: "Kept", scenario: Scenario) -> RunLog | Exception:
+def _on_drake(kept: "Kept", mission: Mission) -> RunLog | Exception:
     try:
-        log: RunLog = kept.rollout(scenario).run(scenario)
+        log: RunLog = kept.rollout(mission).run(mission)
     except _FAILURES as error:
-        kept.drop(scenario.controller)
+        kept.drop(mission.scenario.controller)
         return error if isinstance(error, Exception) else FfsmError(one_line(error))
     return log
 
@@ -89,13 +90,13 @@ class Kept:
     def __init__(self) -> None:
         self._rollouts: dict[str, Any] = {}
 
-    def rollout(self, scenario: Scenario) -> Any:
-        """Return the rollout of a scenario."""
-        name = scenario.controller
+    def rollout(self, mission: Mission) -> Any:
+        """Return the rollout of a mission."""
+        scenario, name = mission.scenario, mission.scenario.controller
         found = self._rollouts.get(name)
         if found is None or user_supplied(scenario) or not found.accepts(scenario):
             self.drop(name)
-            self._rollouts[name] = make_rollout(scenario)
+            self._rollouts[name] = make_rollout(mission)
         return self._rollouts[name]
 
     def drop(self, *controllers: str) -> None:

@@ -19,7 +19,7 @@ from ffsm_drake.scenario import NOTHING, Scenario
 from ffsm_drake.spacecraft.coordinates import error_rate
 from ffsm_drake.spacecraft.grasp import shift_moment
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
-from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import base_rpy, find_body, hand_frame
 from ffsm_drake.systems.controllers import SMALLEST
 from ffsm_drake.systems.parts.placed import PlacedPart, with_role
@@ -31,8 +31,7 @@ if TYPE_CHECKING:
 
 def make_table(log: RunLog) -> Table:
     """Return the labelled time series of a run."""
-    scenario = log.scenario
-    model = make_flexible_plant(scenario)
+    model = log.mission.craft.flexible()
     states = log.whole_states
     values = _values(log, model, states)
     signals = {name: signal for name, signal in SIGNALS.items() if name in values}

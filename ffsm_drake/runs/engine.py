@@ -6,6 +6,7 @@ from typing import Any
 from ffsm_drake.common.errors import FfsmError, choices
 from ffsm_drake.common.registrations import Registry
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.registry import Factory
 
 DRAKE = "drake"
@@ -30,7 +31,7 @@ class Engine:
         """Raise NotCovered for a scenario whose settings show that it is not covered."""
 
     def run_all(
-        self, scenarios: Sequence[Scenario], signals: Collection[str] | None = None
+        self, missions: Sequence[Mission], signals: Collection[str] | None = None
     ) -> Sequence[Any]:
         """Return the log (``RunLog``) of each run. In its place, NotCovered: it is not computed;
         None: it fails or diverges, so that Drake's run shows how.
@@ -39,10 +40,10 @@ class Engine:
         """
         raise NotImplementedError
 
-    def lanes(self, scenario: Scenario, factory: Factory, number: int, samples: int) -> Any:
+    def lanes(self, mission: Mission, factory: Factory, number: int, samples: int) -> Any:
         """Return runs whose law, of a factory, is given actions between the samples.
 
-        Args: the scenario, the law's factory, the number of runs, the most samples of an action.
+        Args: the mission, the law's factory, the number of runs, the most samples of an action.
 
         Raises NotCovered.
         """

@@ -9,7 +9,6 @@ import numpy as np
 from ffsm_drake.common.numbers import number
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario.schema import FIXED_STEP_SCHEMES
-from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import configuration
 
 # Explicit Euler at the control period misses the momentum of slow motions by less than 1e-3, the
@@ -37,8 +36,8 @@ def integration_remarks(record: RunRecord) -> Iterator[str]:
     largest = float(energy[np.isfinite(energy)].max(initial=0.0))
     if not largest > 0.0:
         return
-    model = make_true_plant(record.scenario)
-    q = configuration(model.plant, record.scenario.initial_posture, key="initial_posture")
+    model = record.mission.craft.true()
+    q = configuration(model.coordinates, record.scenario.initial_posture, key="initial_posture")
     inertia = model.calc_mass_matrix(q)
     scales = {
         "linear": (float(inertia[3, 3]), "N s"),

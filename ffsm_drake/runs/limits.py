@@ -19,7 +19,7 @@ from ffsm_drake.scenario import Fault, Scenario
 from ffsm_drake.spacecraft.clearance import TOLERANCE, Nearest, in_words, shapes_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
-from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.faults import settle_faults
 from ffsm_drake.systems.limits import joint_limits, limits_of
 
@@ -41,9 +41,7 @@ def run_remarks(record: RunRecord) -> list[str]:
     if time.size == 0:
         return []
     remarks = list[str]()
-    faults = settle_faults(
-        record.scenario, coordinates_of(make_plant(record.scenario.model))
-    ).faults
+    faults = settle_faults(record.scenario, record.mission.craft.coordinates).faults
     noticed = dict(record.metrics.get("faults", {}).get("noticed") or {})
     for fault in () if faults is None else faults.events.values():
         if fault.time[0] <= time[-1] + 1e-9:  # the run may end early
@@ -54,7 +52,7 @@ def run_remarks(record: RunRecord) -> list[str]:
         f"{name}: reported as faulty at {at:.2f} s, but it has no fault (false alarm)"
         for name, at in noticed.items()
     ]
-    remarks += broken_limits(record.scenario, record.dataset)
+    remarks += broken_limits(record.mission, record.dataset)
     shares = [f"{name} in {percent(share)}" for name, share in saturation(record).items()]
     if shares:
         remarks.append(f"saturated at actuation.limit: {', '.join(shares)} of the samples")
@@ -71,7 +69,7 @@ def _times(fault: Fault) -> str:
     return f"since {begin:.2f} s, for {fault.duration:.3g} s every {fault.period:.3g} s"
 
 
-def broken_limits(scenario: Scenario, data: "Labelled") -> list[str]:
+def broken_limits(mission: Mission, data: "Labelled") -> list[str]:
     """Return a line for each kind of exceeded limit without enforcement: positions, rates and
     applied forces of the joints, limits of parts, clearance. Such a run does not go as planned,
     settled or not.
@@ -82,7 +80,7 @@ def broken_limits(scenario: Scenario, data: "Labelled") -> list[str]:
     time = data["time"].values
     if time.size == 0:
         return []
-    limits = joint_limits(scenario, make_plant(scenario.model))
+    scenario, limits = mission.scenario, joint_limits(mission)
     motion = {
         POSITION: data["position"].values[:, 1:],
         RATE: data["velocity"].values,
@@ -206,7 +204,7 @@ def limits_left(log: RunLog, near: tuple[np.ndarray, np.ndarray] | None = None) 
     """
     clearance = shapes_of(log.scenario)
     parts = [placed.part for placed in log.parts.values()]
-    limits = limits_of(log.scenario, clearance.plant, parts, helped=True)
+    limits = limits_of(log.mission, parts, helped=True)
     q, v = np.split(log.series["state"], [len(log.coordinates.position_names)], axis=1)
     motion = {FORCE: log.generalized_force, RATE: v, POSITION: q[:, 1:]}
     found = {}

@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,8 @@ from ffsm_drake.runs.tracking import (
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, position_errors
 from ffsm_drake.spacecraft.grasp import Contact
-from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
+from ffsm_drake.spacecraft.mission import Mission
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.frame_path import goal_frame, tracked_rows
 from ffsm_drake.systems.parts.metrics import Figure
@@ -72,20 +73,19 @@ class RunLog:
       ((11,), (11, 11))
     """
 
-    scenario: Scenario
+    mission: Mission
     outcome: Outcome
-    coordinates: Coordinates
     time: np.ndarray  # (n,), control samples t_k, s
     series: Mapping[str, np.ndarray]
     wall_time: dict[str, float]  # s: build (once for all runs), advance_to, total (of this run)
-    split: StateSplit = dataclasses.field(default_factory=StateSplit)
     grasp: GraspLog | None = None  # a run with a capture, unless it ended before
     parts: Parts = dataclasses.field(default_factory=dict)  # with signals and figures of their own
     # whether the controller tracks a frame, and coordinates only in its null space
     tracks_frame: bool = False
     sliding_unit: str = ControlLaw.sliding_unit
     engine: str = DRAKE  # name of what computed the run
-    make_model: Callable[[Scenario], PlantModel] = make_flexible_plant
+    # the true plant; None: of the mission, flexible parts included
+    own_model: PlantModel | None = None
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return a signal at the samples (n, its width), or (n) for a single number."""
@@ -102,6 +102,21 @@ class RunLog:
         return name in self.series or any(each.name == name for each in signals_of(self.parts))
 
     @property
+    def scenario(self) -> Scenario:
+        """The scenario of the run."""
+        return self.mission.scenario
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """Names of the known coordinates."""
+        return self.mission.craft.coordinates
+
+    @property
+    def split(self) -> StateSplit:
+        """Known and hidden coordinates of the true plant."""
+        return self.mission.craft.split
+
+    @property
     def whole_states(self) -> np.ndarray:
         """[q; v] of the true plant (n, its size)."""
         return self.split.whole(self.series["state"], self.series.get("hidden_state"))
@@ -109,7 +124,7 @@ class RunLog:
     @functools.cached_property
     def model(self) -> PlantModel:
         """The true plant, flexible parts included."""
-        return self.make_model(self.scenario)
+        return self.own_model or self.mission.craft.flexible()
 
     @functools.cached_property
     def part_figures(self) -> dict[str, list[Figure]]:

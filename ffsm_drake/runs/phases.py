@@ -24,6 +24,7 @@ from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import EMPTY, HELD, Grip, Scenario
 from ffsm_drake.scenario.contacts import closing_times
+from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import AlongMotion
 from ffsm_drake.systems.registry import Factory
@@ -50,7 +51,7 @@ class Phase:
     # excluded; None: the end of the run
     names: tuple[tuple[str, int | None], ...] = ()
     grip: Grip = EMPTY  # what holds the target
-    scenario: Scenario | None = None  # with its plan; None: the scenario of the mission
+    plan: Mission | None = None  # that it flies; None: the mission of the run
     motion: PlannedMotion | None = None  # desired, over the run's time; None: from the plan
     # True: the approach begins where ``motion`` ends, not at ``capture.approach.posture``
     joins: bool = False
@@ -122,8 +123,8 @@ class Stop(PhaseKind):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Mission:
-    """The phases of a run."""
+class Phases:
+    """The phases of a run, and what follows each."""
 
     kinds: Mapping[str, PhaseKind]  # by the outcome that leads to it; "": the first
     own: Any = None  # what the kinds keep at the start
@@ -138,29 +139,29 @@ class PhasedRollout:
 
     def __init__(
         self,
-        scenario: Scenario,
+        scenario: Scenario | Mission,
         *,
         blocks: Mapping[str, Factory] | None = None,
         meshcat: Meshcat | None = None,
     ) -> None:
         """Arguments and errors: see ``Rollout``."""
-        self._blocks, self._scenario = blocks, scenario
+        self._blocks, self._mission = blocks, make_mission(scenario)
         self._loops = dict[Grip, Rollout]()  # of phases that differ in nothing else
         how: Any = {"blocks": blocks, "meshcat": meshcat}
-        for closed in closing_times(scenario):
+        for closed in closing_times(self._mission.scenario):
             grip = Grip(closed=closed)
-            self._loops[grip] = Rollout(scenario, grip=grip, **how)
-            if grip == HELD and scenario.grasp_time > 0.0:
-                show = None if meshcat is None else self.show(scenario)
-                self._loops[EMPTY] = Rollout(scenario, grip=EMPTY, show=show, **how)
+            self._loops[grip] = Rollout(self._mission, grip=grip, **how)
+            if grip == HELD and self._mission.scenario.grasp_time > 0.0:
+                show = None if meshcat is None else self.show(self._mission)
+                self._loops[EMPTY] = Rollout(self._mission, grip=EMPTY, show=show, **how)
 
     @staticmethod
-    def show(scenario: Scenario) -> Show | None:
+    def show(mission: Mission) -> Show | None:
         """How the loop with an empty gripper is shown."""
         return None
 
-    def mission(self, scenario: Scenario) -> Mission:
-        """The mission of a scenario."""
+    def phases(self, mission: Mission) -> Phases:
+        """The phases of a mission."""
         raise NotImplementedError
 
     def held(self, closed: float = 0.0) -> ClosedLoop:
@@ -170,7 +171,7 @@ class PhasedRollout:
     @property
     def loop(self) -> ClosedLoop:
         """The closed loop with all hands on the target."""
-        return self.held(closing_times(self._scenario)[-1])
+        return self.held(closing_times(self._mission.scenario)[-1])
 
     def release(self) -> None:
         """As ``Rollout.release``."""
@@ -186,17 +187,23 @@ class PhasedRollout:
         for grip in sorted(self._loops, key=lambda grip: (grip.holds, grip.closed)):
             self._loops[grip].check()
 
-    def run(self, scenario: Scenario | None = None, *, progress: Progress | None = None) -> RunLog:
+    def run(
+        self, scenario: Scenario | Mission | None = None, *, progress: Progress | None = None
+    ) -> RunLog:
         """As ``Rollout.run``. At a sample of a grasp, the log has the velocity after it."""
-        start, scenario = time.perf_counter(), scenario or self._scenario
-        course, alone = Course(self.mission(scenario), scenario), list[Rollout]()
+        start, mission = time.perf_counter(), self._mission
+        if isinstance(scenario, Mission):
+            mission = scenario
+        elif scenario is not None:
+            mission = mission.of(scenario)
+        course, alone = Course(self.phases(mission), mission), list[Rollout]()
 
         def joined() -> RunLog:
             return course.joined(time.perf_counter() - start)
 
         try:
             while (phase := course.plan()) is not None:
-                plan = phase.scenario or scenario
+                plan = phase.plan or mission
                 rollout = self._loop_of(phase, plan)
                 if rollout not in self._loops.values():
                     alone.append(rollout)
@@ -213,12 +220,12 @@ class PhasedRollout:
                 rollout.release()
         return joined()
 
-    def _loop_of(self, phase: Phase, plan: Scenario) -> Rollout:
+    def _loop_of(self, phase: Phase, plan: Mission) -> Rollout:
         """The loop of a phase: one that is kept, or a new one."""
         own = dict(phase.blocks)
         if phase.motion is not None:
             own = {"reference": functools.partial(_along, phase.motion), **own}
-        if not own and phase.scenario is None:
+        if not own and phase.plan is None:
             return self._loops[phase.grip]
         own = {**(self._blocks or {}), **own}
         return Rollout(plan, blocks=own, joint_force=phase.joint_force, grip=phase.grip)
@@ -241,11 +248,11 @@ class Course:
     ``note`` for each phase, and ``joined`` at the end.
     """
 
-    def __init__(self, mission: Mission, scenario: Scenario) -> None:
-        """Args: the mission of a scenario."""
-        self._mission, self._scenario = mission, scenario
-        self._now = Situation(own=mission.own)
-        self.kind = mission.kinds.get("")  # of the next phase
+    def __init__(self, phases: Phases, mission: Mission) -> None:
+        """Args: the phases of a mission."""
+        self._phases, self._mission = phases, mission
+        self._now = Situation(own=phases.own)
+        self.kind = phases.kinds.get("")  # of the next phase
 
     @property
     def sample(self) -> int:
@@ -280,12 +287,12 @@ class Course:
         kind, self.kind = self.kind, None
         if kind is not None and log.outcome.completed and phase.names[-1][1] is not None:
             outcome, now = kind.judge(now)
-            self.kind = self._mission.kinds.get(outcome) if outcome else None
+            self.kind = self._phases.kinds.get(outcome) if outcome else None
         self._now = now
 
     def joined(self, total: float) -> RunLog:
         """Return the log of all phases; NaN in the phases without a series. Args: wall time, s."""
-        logs = self._mission.complete(self._now.logs)
+        logs = self._phases.complete(self._now.logs)
         last, time_of = logs[-1], np.concatenate([log.time for log in logs])
         empty = {
             name: np.full_like(values[:1], np.nan)
@@ -296,7 +303,7 @@ class Course:
         outcome = self._now.failed or last.outcome
         log = dataclasses.replace(
             last,
-            scenario=self._scenario,
+            mission=self._mission,
             outcome=dataclasses.replace(outcome, time=float(time_of[-1])),
             time=time_of,
             series={
@@ -308,7 +315,7 @@ class Course:
             parts={name: part for log in logs for name, part in log.parts.items()},
             wall_time={**spent, "total": total},
         )
-        return self._mission.finish(log, self._now)
+        return self._phases.finish(log, self._now)
 
 
 def _along(motion: PlannedMotion, setup: BlockSetup) -> AlongMotion:

@@ -27,7 +27,7 @@ from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, scenario_from_dict
 from ffsm_drake.scenario.layers import scenario_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
-from ffsm_drake.spacecraft.nominal import make_flexible_plant
+from ffsm_drake.spacecraft.craft import Craft
 from ffsm_drake.systems.parts.record import PartRecord
 from ffsm_drake.systems.parts.signals import CURVE, ROLES, STEPS, TIMELINE, components_of
 from ffsm_drake.systems.registry import section_parts
@@ -271,7 +271,7 @@ def _coordinates_of(
     coordinates if the model no longer loads, for displays without the model.
     """
     try:
-        model = make_flexible_plant(scenario)
+        model = Craft(scenario).flexible()
     except FfsmError:
         names, units = (
             dataset[name].values.astype(str).tolist() for name in ("coordinate", "unit")

@@ -34,6 +34,7 @@ from ffsm_drake.runs.reading import (
 from ffsm_drake.runs.table import Table, Values
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.parts.metrics import Figure, nested
 from ffsm_drake.systems.parts.record import PartRecord
 
@@ -92,6 +93,7 @@ class RunRecord:
     grasp: dict[str, Any] | None = None
     parts: tuple[PartRecord, ...] = ()
     engine: str = DRAKE  # name of what computed the run
+    flown: Mission | None = None  # of ``scenario``; None: it is made when it is needed
     # SHA-256 of record.nc once the record was saved or loaded, which its manifest, metrics and
     # reports carry
     identifier: str = dataclasses.field(default="", init=False)
@@ -124,6 +126,11 @@ class RunRecord:
     def figures(self) -> tuple[Figure, ...]:
         """Figures of the parts' metrics."""
         return tuple(figure for part in self.parts for figure in part.figures)
+
+    @functools.cached_property
+    def mission(self) -> Mission:
+        """The scenario with its spacecraft. Raises ModelError: the model does not load any more."""
+        return self.flown or Mission(self.scenario)
 
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:

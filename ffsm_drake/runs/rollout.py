@@ -3,7 +3,7 @@
 import contextlib
 import dataclasses
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from ffsm_drake.common.files import same_folder
 from ffsm_drake.common.guard import guarded, passes
 from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.common.lifetime import untie
+from ffsm_drake.common.memo import content_of
 from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, build_closed_loop
 from ffsm_drake.runs.blame import bad_output, failure_of, unconnected
@@ -29,8 +30,9 @@ from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, Out
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.monitor import Monitor
 from ffsm_drake.runs.signals import SIGNALS
-from ffsm_drake.scenario import HELD, Grip, Scenario, kind_of, planned_part, scenario_to_dict
+from ffsm_drake.scenario import HELD, Grip, Scenario, kind_of, planned_part
 from ffsm_drake.scenario.contacts import closing_times
+from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.spacecraft.plant import add_combined_plant, cause_of
 from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.parts.placed import signals_of
@@ -77,7 +79,7 @@ class Rollout:
     @guarded
     def __init__(
         self,
-        scenario: Scenario,
+        scenario: Scenario | Mission,
         *,
         blocks: Mapping[str, Factory] | None = None,
         meshcat: Meshcat | None = None,
@@ -88,27 +90,21 @@ class Rollout:
         """Build the closed loop.
 
         Args:
-          scenario: the scenario to build.
+          scenario: the scenario to build, or its mission.
           blocks: factories that replace blocks of the scenario, see ``add_closed_loop``.
           meshcat: shows the motion.
           show: adds the scene graph and the systems that move its bodies; default: from the plant.
           joint_force, grip: see ``add_closed_loop``.
         """
-        start = time.perf_counter()
-        builder = DiagramBuilder()
+        start, mission = time.perf_counter(), make_mission(scenario)
+        scenario, builder = mission.scenario, DiagramBuilder()
         plant = (
             None
             if meshcat is None or show is not None
             else add_combined_plant(builder, scenario.model, flexible=True)
         )
-        loop = add_closed_loop(
-            builder,
-            scenario,
-            blocks=blocks,
-            plant=plant,
-            joint_force=joint_force,
-            grip=grip,
-        )
+        how: Any = {"joint_force": joint_force, "grip": grip}
+        loop = add_closed_loop(builder, mission, blocks=blocks, plant=plant, **how)
         if show is not None:
             show(builder, loop)
         self._logger, self._rows = _add_logger(builder, loop)
@@ -126,7 +122,7 @@ class Rollout:
         self._user_supplied = user_supplied(scenario, blocks)
         # With user-supplied blocks or a viewer, a run is not repeated with the monitor.
         self._checked_in_log = logs_every_step and meshcat is None and not self._user_supplied
-        self._built_for: dict[str, Any] | None = _built_from(scenario)
+        self._built_for: Hashable | None = _built_from(scenario)
         self._build_time = time.perf_counter() - start
 
     def release(self) -> None:
@@ -150,7 +146,7 @@ class Rollout:
     @guarded
     def run(
         self,
-        scenario: Scenario | None = None,
+        scenario: Scenario | Mission | None = None,
         *,
         progress: Callable[[float, float], None] | None = None,
         leg: Leg | None = None,
@@ -161,7 +157,7 @@ class Rollout:
         the keyboard the run ends early with the log up to then; the outcome gives the reason.
 
         Args:
-          scenario: the scenario to run; None for the built one.
+          scenario: the scenario to run, or its mission; None for the built one.
           progress: called with (simulated time, duration) in s, every 0.25 simulated seconds.
           leg: the part of the run; None for all of it.
 
@@ -172,13 +168,7 @@ class Rollout:
         start = time.perf_counter()
         loop, leg = self.loop, leg or Leg()
         if scenario is not None:
-            if not self.accepts(scenario):
-                raise ScenarioError(
-                    "scenario",
-                    "differs from the built one in more than a run can change; build another",
-                )
-            loop = dataclasses.replace(loop, scenario=scenario)
-        scenario = loop.scenario
+            loop = dataclasses.replace(loop, mission=self._accepted(scenario))
         monitor = Monitor(loop, progress)
         # A monitor calls Python in every step. Where all steps are in the log, that shows
         # afterwards where a monitor would have stopped the run.
@@ -205,6 +195,16 @@ class Rollout:
             failure.log = log
             raise failure
         return log
+
+    def _accepted(self, scenario: Scenario | Mission) -> Mission:
+        """Return the mission to run. Raises ScenarioError: it needs another build."""
+        given = scenario.scenario if isinstance(scenario, Mission) else scenario
+        if not self.accepts(given):
+            raise ScenarioError(
+                "scenario",
+                "differs from the built one in more than a run can change; build another",
+            )
+        return scenario if isinstance(scenario, Mission) else self.loop.mission.of(scenario)
 
     def _wall_time(self, start: float, advance_time: float) -> dict[str, float]:
         """Wall time of a run with a given start, s."""
@@ -369,10 +369,8 @@ def _make_log(
     """Log of a run of the loop's scenario."""
     law = getattr(loop.blocks["controller"], "law", None)
     return RunLog(
-        scenario=loop.scenario,
+        mission=loop.mission,
         outcome=outcome,
-        coordinates=loop.coordinates,
-        split=loop.split,
         tracks_frame=loop.tracks_frame,
         sliding_unit=str(getattr(law, "sliding_unit", ControlLaw.sliding_unit)),
         parts=loop.parts,
@@ -449,9 +447,9 @@ def _is_sound(monitor: Monitor, context: Context) -> bool:
         return True  # the force itself cannot be computed
 
 
-def _built_from(scenario: Scenario) -> dict[str, Any]:
-    """Return the part of a scenario that the build depends on, as plain data; a run's context holds
-    the rest.
+def _built_from(scenario: Scenario) -> Hashable:
+    """Return the content of a scenario that the build depends on; a run's context holds the
+    rest.
     """
     neutral = Scenario()
     changes = {name: getattr(neutral, name) for name in _OF_THE_CONTEXT}
@@ -459,17 +457,12 @@ def _built_from(scenario: Scenario) -> dict[str, Any]:
         del changes["initial_velocity"]
     if scenario.faults is not None:  # they are drawn, by the seed, when the loop is built
         del changes["random_seed"]
-    return scenario_to_dict(
-        dataclasses.replace(
-            scenario,
-            payload=planned_part(scenario).payload,
-            **changes,
-        )
-    )
+    payload = planned_part(scenario).payload
+    return content_of(dataclasses.replace(scenario, payload=payload, **changes))
 
 
 def make_rollout(
-    scenario: Scenario,
+    scenario: Scenario | Mission,
     *,
     blocks: Mapping[str, Factory] | None = None,
     meshcat: Meshcat | None = None,
@@ -477,7 +470,8 @@ def make_rollout(
     """Return the rollout of a scenario: a ``Rollout``, or with a capture one with the same
     methods. Arguments and errors: see ``Rollout``.
     """
-    kind = SERVICES.load("capture_rollout", "capture") if scenario.grasps else Rollout
-    if len(closing_times(scenario)) > 1:
+    mission = make_mission(scenario)
+    kind = SERVICES.load("capture_rollout", "capture") if mission.scenario.grasps else Rollout
+    if len(closing_times(mission.scenario)) > 1:
         kind = SERVICES.load("later_hands_rollout", "contacts.closes")
-    return kind(scenario, blocks=blocks, meshcat=meshcat)
+    return kind(mission, blocks=blocks, meshcat=meshcat)

@@ -24,6 +24,7 @@ from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord, software_versions
 from ffsm_drake.runs.rollout import make_rollout, user_supplied
 from ffsm_drake.scenario import Block, Scenario, as_dict, checked
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.reference import timed
@@ -91,7 +92,7 @@ def simulate(
     rollout = prepare(scenario, blocks=blocks, meshcat=meshcat, check_stability=check_stability)
     try:
         with guarded:
-            log = None if own is None else _computed(own, rollout.loop.scenario)
+            log = None if own is None else _computed(own, rollout.loop.mission)
             log = log or rollout.run(progress=progress)
             if own is not None and log.engine == DRAKE:
                 log = dataclasses.replace(log, engine=on_drake(None))
@@ -105,9 +106,9 @@ def simulate(
         rollout.release()
 
 
-def _computed(engine: Engine, scenario: Scenario) -> RunLog | None:
+def _computed(engine: Engine, mission: Mission) -> RunLog | None:
     """The log of a run; None: it fails or diverges. Raises NotCovered."""
-    (log,) = engine.run_all([scenario])
+    (log,) = engine.run_all([mission])
     if isinstance(log, NotCovered):
         raise log
     return log
@@ -131,23 +132,23 @@ def prepare(
     Returns: the loop, ready to run.
     """
     with guarded, same_folder():
-        scenario = checked(scenario)
-        if "reference" not in (blocks or {}) and scenario.blocks.reference is None:
-            scenario = timed(scenario)
+        mission = Mission(checked(scenario))
+        if "reference" not in (blocks or {}) and mission.scenario.blocks.reference is None:
+            mission = timed(mission)
         if check_stability and (plan_remarks := SERVICES.find("plan_remarks")) is not None:
-            for remark in plan_remarks(scenario):
+            for remark in plan_remarks(mission):
                 warnings.warn(remark, LimitWarning, stacklevel=3)
         # before the verdict, which takes longer: what is refused shows at once
         with step("building the loop"):
-            rollout = make_rollout(scenario, blocks=blocks, meshcat=meshcat)
+            rollout = make_rollout(mission, blocks=blocks, meshcat=meshcat)
         try:
             if (
                 check_stability
-                and not user_supplied(scenario, blocks)
+                and not user_supplied(mission.scenario, blocks)
                 and (verdict := SERVICES.find("verdict")) is not None
             ):
                 rollout.check()
-                for remark in verdict(scenario, rehearsal=False).warnings:
+                for remark in verdict(mission, rehearsal=False).warnings:
                     warnings.warn(remark, StabilityWarning, stacklevel=3)
         except BaseException:
             rollout.release()
@@ -173,11 +174,12 @@ def make_record(
     """The record of a run that began at the wall time ``start`` (``time.perf_counter``), with the
     factories it had.
     """
-    scenario = repeatable_scenario(log.scenario, blocks or {})
+    mission = log.mission.of(repeatable_scenario(log.scenario, blocks or {}))
+    scenario = mission.scenario
     grasp = None if log.grasp is None else log.grasp.ledger(log.time, log.coordinates)
     if grasp is not None and (budget_of := SERVICES.find("momentum_budget")) is not None:
         with spared("momentum_budget"):
-            budget = budget_of(scenario)
+            budget = budget_of(mission)
             grasp |= {} if budget is None else {"momentum_budget": dataclasses.asdict(budget)}
     try:
         dataset, parts = make_table(log), log.part_records
@@ -187,6 +189,7 @@ def make_record(
         raise
     return RunRecord(
         scenario=scenario,
+        flown=mission,
         outcome=log.outcome,
         dataset=dataset,
         parts=parts,
@@ -262,13 +265,14 @@ def simulate_many(
     """
     start = time.perf_counter()
     results: list[Any] = [None] * len(scenarios)
-    ready = dict[int, Scenario]()
+    ready, before = dict[int, Mission](), None
     with same_folder():
         for index, given in enumerate(scenarios):
             try:
                 scenario = checked(given)
+                mission = before.of(scenario) if before else Mission(scenario)
                 has_own = scenario.blocks.reference is None
-                ready[index] = timed(scenario) if has_own else scenario
+                ready[index] = before = timed(mission) if has_own else mission
             except Exception as error:
                 results[index] = error
         places = list(ready)

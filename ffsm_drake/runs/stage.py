@@ -50,7 +50,7 @@ class Stage:
 
     def model(self) -> PlantModel:
         """Return the true plant of the scenario, in a context of its own."""
-        return self.loop.true_model(self.loop.scenario)
+        return self.loop.mission.craft.flexible(self.loop.grip)
 
     def context(self, block: str) -> Context:
         """Return the context of a block that is a Drake system."""

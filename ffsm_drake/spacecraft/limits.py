@@ -12,7 +12,7 @@ from ffsm_drake.common.numbers import short
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.checked_urdf import read_limits
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
-from ffsm_drake.spacecraft.plant import coordinates_of, urdfs_of
+from ffsm_drake.spacecraft.plant import urdfs_of
 
 SLACK = 1e-9  # relative; a plan may end at a limit
 POSITION, RATE, FORCE = "position", "rate", "force"  # the quantities of coordinates
@@ -92,7 +92,7 @@ def tightest(limits: Sequence[Limit], quantity: str) -> Limit:
     )
 
 
-def urdf_limits(model: Model, plant: MultibodyPlant) -> list[Limit]:
+def urdf_limits(model: Model, plant: MultibodyPlant, coordinates: Coordinates) -> list[Limit]:
     """Return positions, rates and forces of a model's joints; a zero velocity or effort means
     unknown.
 
@@ -101,7 +101,6 @@ def urdf_limits(model: Model, plant: MultibodyPlant) -> list[Limit]:
     Raises:
       ModelError: a URDF cannot be read.
     """
-    coordinates = coordinates_of(plant)
     lower, upper, velocity, effort = np.full((4, coordinates.num_velocities), np.inf)
     lower *= -1.0
     for i, name in enumerate(coordinates.joints, NUM_BASE_VELOCITIES):  # of other formats

@@ -1,29 +1,21 @@
-"""Plants for computations outside a simulation: nominal (the controller's) and true."""
+"""The model of a spacecraft, for computations outside a simulation."""
 
 import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, JacobianWrtVariable
 from pydrake.systems.framework import Context
 
-from ffsm_drake.common.memo import each_once, memoized
+from ffsm_drake.common.memo import each_once
 from ffsm_drake.common.products import applied, condensed
-from ffsm_drake.scenario import HELD, Grip, MassProperties, Model, Scenario
+from ffsm_drake.scenario import HELD, Grip
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, joints_of, tracking_errors
-from ffsm_drake.spacecraft.mass_properties import set_masses, set_payload
-from ffsm_drake.spacecraft.plant import (
-    coordinates_of,
-    find_frame,
-    flexible_parts,
-    make_plant,
-    model_files,
-    split_of,
-)
+from ffsm_drake.spacecraft.plant import find_frame, flexible_parts
 
 Calc = TypeVar("Calc", bound=Callable[..., np.ndarray])
 
@@ -63,7 +55,7 @@ class PlantModel:
     plant: MultibodyPlant
     context: Context
     coordinates: Coordinates
-    # not trivial with ``make_flexible_plant`` only
+    # not trivial with flexible parts only
     split: StateSplit = dataclasses.field(default_factory=StateSplit)
     grip: Grip = HELD  # what holds the payload
 
@@ -233,109 +225,3 @@ def damping_of(plant: MultibodyPlant) -> np.ndarray:
     for joint in joints_of(plant):
         damping[joint.velocity_start()] = joint.default_damping()
     return damping
-
-
-def make_nominal_plant(scenario: Scenario, grip: Grip = HELD) -> PlantModel:
-    """Return the model with the nominal payload (``payload.nominal``), as a controller uses it.
-
-    Its mass matrix is Hhat.
-
-    Args:
-      scenario: the scenario.
-      grip: what holds the target; if nothing does, the model has no payload.
-
-    Raises:
-      ModelError: the model cannot be loaded.
-
-    Example:
-      >>> from ffsm_drake import load_scenario, make_nominal_plant
-      >>> make_nominal_plant(load_scenario("postcapture")).coordinates.joints
-      ('joint_1', 'joint_2', 'joint_3', 'joint_4', 'joint_5')
-    """
-    return _make(scenario, grip, nominal=True)
-
-
-def make_true_plant(scenario: Scenario, grip: Grip = HELD) -> PlantModel:
-    """Return the model with the true payload (``payload.truth``) and locked flexible parts.
-
-    Args:
-      scenario: the scenario.
-      grip: what holds the target; if nothing does, the model has no payload.
-
-    Raises:
-      ModelError: the model cannot be loaded.
-
-    Example:
-      >>> import numpy as np
-      >>> from ffsm_drake import load_scenario, make_true_plant
-      >>> model = make_true_plant(load_scenario("postcapture"))
-      >>> q = np.array([1.0, *np.zeros(11)])
-      >>> round(float(model.calc_mass_matrix(q)[3, 3]), 6)  # kg, base, arm and target
-      526.0
-    """
-    return _make(scenario, grip)
-
-
-def make_flexible_plant(scenario: Scenario, grip: Grip = HELD) -> PlantModel:
-    """Return the model with the true payload and the flexible parts of ``model.flexible``.
-
-    Its q and v include the coordinates of flexible parts (``PlantModel.split``).
-    """
-    model = _make(scenario, grip, flexible=True)
-    _set_flexible(model.plant, model.context, scenario.model)
-    return model
-
-
-def _make(
-    scenario: Scenario, grip: Grip, *, nominal: bool = False, flexible: bool = False
-) -> PlantModel:
-    plant = _parsed(scenario.model, flexible=flexible)
-    context = plant.CreateDefaultContext()
-    payload = grip.carried(scenario.payload)
-    properties = payload.nominal if nominal else payload.truth
-    set_masses(plant, context, scenario, properties, nominal=nominal)
-    coordinates, split = coordinates_of(plant, undriven=scenario.undriven), split_of(plant)
-    return PlantModel(plant=plant, context=context, coordinates=coordinates, split=split, grip=grip)
-
-
-# parsing takes four times as long as a context with its masses
-@memoized(maxsize=8, files=model_files)
-def _parsed(model: Model, *, flexible: bool) -> MultibodyPlant:
-    """``make_plant``, shared by models with a context each; parsed again once its files change."""
-    return make_plant(model, flexible=flexible)
-
-
-def set_true_masses(
-    plant: MultibodyPlant, context: Context, scenario: Scenario, grip: Grip
-) -> None:
-    """Set true masses and springs of a plant with flexible parts in a new context."""
-    set_masses(plant, context, scenario, grip.carried(scenario.payload).truth)
-    _set_flexible(plant, context, scenario.model)
-
-
-def change_payload(
-    plant: MultibodyPlant, context: Context, scenario: Scenario, properties: MassProperties
-) -> None:
-    """Set another true payload in one context whose other masses are set."""
-    set_payload(plant, context, body=scenario.payload.body, properties=properties)
-    if scenario.model.flexible:
-        flexible_parts().take_masses(plant, context, scenario.model, body=scenario.payload.body)
-
-
-@dataclasses.dataclass(frozen=True)
-class Carrier:
-    """Makes a plant's model for other payloads. No code that is traced depends on it."""
-
-    scenario: Scenario
-    constants: ClassVar[tuple[()]] = ()
-
-    def loaded(self, model: PlantModel, properties: MassProperties) -> PlantModel:
-        """Return a model with the other masses of the given one, and another true payload."""
-        context = model.context.Clone()
-        change_payload(model.plant, context, self.scenario, properties)
-        return dataclasses.replace(model, context=context)
-
-
-def _set_flexible(plant: MultibodyPlant, context: Context, model: Model) -> None:
-    if model.flexible:
-        flexible_parts().set_flexible(plant, context, model)

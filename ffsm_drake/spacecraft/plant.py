@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.geometry import CollisionFilterDeclaration, Convex, Mesh, Role
+from pydrake.geometry import CollisionFilterDeclaration, Convex, Mesh, Role, SceneGraph
 from pydrake.math import RollPitchYaw
 from pydrake.multibody.parsing import (
     FlattenModelDirectives,
@@ -16,12 +16,13 @@ from pydrake.multibody.parsing import (
     Parser,
     ProcessModelDirectives,
 )
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, ModelInstanceIndex, RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.errors import ModelError, choices, one_line
 from ffsm_drake.common.files import check_regular
+from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.so3 import rpy_of
 from ffsm_drake.scenario import Model, Posture, Scenario
 from ffsm_drake.spacecraft.coordinates import (
@@ -76,6 +77,32 @@ def resolve_package(address: str) -> Path:
     )
 
 
+def model_files(model: Model) -> tuple[Path, ...]:
+    """Return the files that a model is made from. Raises ModelError: one of them cannot be read."""
+    folders = _package_folders(model)
+    addresses = [model.directives] if model.servicer is None else [model.servicer, model.debris]
+    return tuple(
+        dict.fromkeys(
+            path for address in addresses for path in files_of(address or "", "model", folders)
+        )
+    )
+
+
+def _package_folders(model: Model) -> dict[str, str]:
+    """Return the folder of each package:// name, except Drake's own, whose files come over the
+    network.
+    """
+    found = PackageMap.MakeEmpty()
+    found.PopulateFromRosPackagePath()
+    for name, folder in model.packages.items():
+        if not name:
+            raise ModelError("model.packages: a package's name must not be empty")
+        if not Path(folder).is_dir():
+            raise ModelError(f"model.packages.{name}: no such folder: {folder}")
+    found_by_ros = {name: found.GetPath(name) for name in found.GetPackageNames()}
+    return found_by_ros | {"ffsm_drake": str(models_dir())} | model.packages
+
+
 def add_combined_plant(
     builder: DiagramBuilder, model: Model, *, apart: str | None = None, flexible: bool = False
 ) -> MultibodyPlant:
@@ -90,18 +117,41 @@ def add_combined_plant(
       ModelError: the directives or URDFs do not load, or do not give one floating base with
         one-degree joints.
     """
-    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-    plant.set_name("plant")
-    scene_graph.set_name("scene_graph")
+    drawn = _drawn(model, apart=apart, flexible=flexible and bool(model.flexible))
+    plant, scene_graph = (each.Clone() for each in drawn)
+    builder.AddNamedSystem("plant", plant)
+    builder.AddNamedSystem("scene_graph", scene_graph)
+    builder.Connect(
+        plant.get_geometry_pose_output_port(),
+        scene_graph.get_source_pose_port(plant.get_source_id()),
+    )
+    builder.Connect(scene_graph.get_query_output_port(), plant.get_geometry_query_input_port())
+    return plant
+
+
+def _files_if_readable(model: Model) -> tuple[Path, ...]:
+    """``model_files``; none if one cannot be read, because loading the model says more."""
+    try:
+        return model_files(model)
+    except ModelError:
+        return ()
+
+
+# loading is slow
+@memoized(maxsize=8, files=_files_if_readable)
+def _drawn(model: Model, *, apart: str | None, flexible: bool) -> tuple[MultibodyPlant, SceneGraph]:
+    """Return the plant and the scene graph of ``add_combined_plant``, to be cloned."""
+    plant, scene_graph = MultibodyPlant(time_step=0.0), SceneGraph()
+    plant.RegisterAsSourceForSceneGraph(scene_graph)
     load_model(plant, model, apart=apart, flexible=flexible)
-    if flexible and model.flexible:
+    if flexible:
         flexible_parts().draw_on_plates(plant, scene_graph, model)
     bodies = [plant.get_body(BodyIndex(index)) for index in range(plant.num_bodies())]
     nothing_touches = CollisionFilterDeclaration().ExcludeWithin(
         plant.CollectRegisteredGeometries(bodies)
     )
     scene_graph.collision_filter_manager().Apply(nothing_touches)
-    return plant
+    return plant, scene_graph
 
 
 def flexible_parts() -> FlexibleParts:
@@ -142,6 +192,18 @@ def make_plant(model: Model, *, flexible: bool = False, jointless: bool = False)
     plant = MultibodyPlant(time_step=0.0)
     load_model(plant, model, flexible=flexible, jointless=jointless)
     return plant
+
+
+def parsed_plant(model: Model, *, flexible: bool = False) -> MultibodyPlant:
+    """Return the plant of ``make_plant``, shared by all that have a context of their own. It is
+    parsed again after a change of its files.
+    """
+    return _parsed_once(model, flexible=flexible and bool(model.flexible))
+
+
+@memoized(maxsize=8, files=_files_if_readable)
+def _parsed_once(model: Model, *, flexible: bool) -> MultibodyPlant:
+    return make_plant(model, flexible=flexible)
 
 
 def load_model(
@@ -255,32 +317,6 @@ def _add_drives(plant: MultibodyPlant) -> None:
         hidden = joint.name().startswith(HIDDEN)
         if joint.num_velocities() == 1 and index not in driven and not hidden:
             plant.AddJointActuator(f"{joint.name()}_drive", joint)
-
-
-def _package_folders(model: Model) -> dict[str, str]:
-    """Return the folder of each package:// name, except Drake's own, whose files come over the
-    network.
-    """
-    found = PackageMap.MakeEmpty()
-    found.PopulateFromRosPackagePath()
-    for name, folder in model.packages.items():
-        if not name:
-            raise ModelError("model.packages: a package's name must not be empty")
-        if not Path(folder).is_dir():
-            raise ModelError(f"model.packages.{name}: no such folder: {folder}")
-    found_by_ros = {name: found.GetPath(name) for name in found.GetPackageNames()}
-    return found_by_ros | {"ffsm_drake": str(models_dir())} | model.packages
-
-
-def model_files(model: Model) -> tuple[Path, ...]:
-    """Return the files that a model is made from. Raises ModelError: one of them cannot be read."""
-    folders = _package_folders(model)
-    addresses = [model.directives] if model.servicer is None else [model.servicer, model.debris]
-    return tuple(
-        dict.fromkeys(
-            path for address in addresses for path in files_of(address or "", "model", folders)
-        )
-    )
 
 
 def urdfs_of(model: Model) -> tuple[Path, ...]:
@@ -474,11 +510,10 @@ def _find(
     return found[name]
 
 
-def configuration(plant: MultibodyPlant, posture: Posture, *, key: str) -> np.ndarray:
+def configuration(coordinates: Coordinates, posture: Posture, *, key: str) -> np.ndarray:
     """Return generalized positions q (nq) of a posture; ``key`` is its place in the scenario, for
     errors.
     """
-    coordinates = coordinates_of(plant)
     joints = coordinates.vector(posture.joints, key=f"{key}.joints", default=0.0)[
         NUM_BASE_VELOCITIES:
     ]

@@ -3,34 +3,36 @@
 import numpy as np
 
 from ffsm_drake.common.registrations import SERVICES
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration
 
 
-def velocity_at_start(scenario: Scenario, model: PlantModel) -> np.ndarray:
+def velocity_at_start(mission: Mission, model: PlantModel) -> np.ndarray:
     """Return the initial velocity (nv) of the motion with the target held. Raises as a grasp."""
+    scenario = mission.scenario
     if scenario.grasps:
-        return _after_grasp(scenario, model)
+        return _after_grasp(mission, model)
     return model.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
 
 
-def state_at_start(scenario: Scenario, model: PlantModel) -> np.ndarray:
+def state_at_start(mission: Mission, model: PlantModel) -> np.ndarray:
     """Return [q; v] of the plant at the start. Raises the errors of a grasp."""
-    q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
+    scenario = mission.scenario
+    q = configuration(model.coordinates, scenario.initial_posture, key="initial_posture")
     v = model.coordinates.vector(scenario.initial_velocity, key="initial_velocity", default=0.0)
     state = model.split.whole(np.concatenate([q, v]))
     if scenario.grasps and model.grip.holds:
-        state[model.plant.num_positions() :] += _after_grasp(scenario, model)
+        state[model.plant.num_positions() :] += _after_grasp(mission, model)
     if len(scenario.contacts) > 1:
-        closed: np.ndarray = SERVICES.load("closed_chain_start", "contacts")(scenario, model, state)
+        closed: np.ndarray = SERVICES.load("closed_chain_start", "contacts")(mission, model, state)
         return closed
     return state
 
 
-def _after_grasp(scenario: Scenario, model: PlantModel) -> np.ndarray:
+def _after_grasp(mission: Mission, model: PlantModel) -> np.ndarray:
     """Velocity (nv) right after the grasp of the target with the model's payload."""
     velocity: np.ndarray = SERVICES.load("planned_contact", "capture")(
-        scenario, model
+        mission, model
     ).grasp.velocity
     return velocity

@@ -9,9 +9,9 @@ import numpy as np
 
 from ffsm_drake.common.errors import LimitError, ScenarioError
 from ffsm_drake.common.numbers import number
-from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, Limit, tightest
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
+from ffsm_drake.spacecraft.mission import Mission
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.limits import limits_of
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ _LEAST_SHAPED = 1.05
 
 
 def shortest_duration(
-    scenario: Scenario, motion_in: Callable[[float], "PlannedMotion"], *, shaped_by: float = 0.0
+    mission: Mission, motion_in: Callable[[float], "PlannedMotion"], *, shaped_by: float = 0.0
 ) -> float:
     """Return the shortest duration, in s and whole control samples, of a motion within every limit.
 
@@ -41,9 +41,9 @@ def shortest_duration(
       ScenarioError: there are no limits.
       LimitError: no duration keeps all limits; the error names the violated one.
     """
+    scenario = mission.scenario
     key, free = "reference.duration", 1.0 - scenario.reference.reserve
-    model = make_nominal_plant(scenario)
-    limits = limits_of(scenario, model.plant)
+    model, limits = mission.craft.nominal(), limits_of(mission)
     force, rate, position = (tightest(limits, each) for each in (FORCE, RATE, POSITION))
     if not np.isfinite(np.concatenate([force.upper, rate.upper])).any():
         raise ScenarioError(

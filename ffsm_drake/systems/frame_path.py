@@ -13,6 +13,7 @@ from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.so3 import rotation_error
 from ffsm_drake.scenario import FrameGoal, Scenario
 from ffsm_drake.spacecraft.free_floating import TASK_ROWS
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_frame, hand_frame
 from ffsm_drake.spacecraft.start import velocity_at_start
@@ -40,12 +41,12 @@ def tracked_rows(scenario: Scenario) -> slice:
 
 
 def make_frame_path(
-    scenario: Scenario, model: PlantModel, *, duration: float | None = None
+    mission: Mission, model: PlantModel, *, duration: float | None = None
 ) -> BlendedPath:
     """Return the path of ``reference.frame`` from its pose in ``initial_posture``.
 
     Args:
-      scenario: the scenario; without ``reference.frame`` the hand stays where it is.
+      mission: the mission; without ``reference.frame`` the hand stays where it is.
       model: the plant with the nominal payload.
       duration: the motion's, s; default: ``reference.duration``.
 
@@ -53,18 +54,18 @@ def make_frame_path(
       ModelError: there is no such frame, or no grasp of the target.
       ScenarioError: the duration is ``auto``, or an input shaper takes all of it.
     """
-    reference = scenario.reference
+    scenario, reference = mission.scenario, mission.scenario.reference
     goal = reference.frame or FrameGoal()
     duration = reference.duration if duration is None else duration
     if duration is None:
         raise ScenarioError("reference.duration", "auto has no value yet; give a number of seconds")
-    q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
+    q = configuration(model.coordinates, scenario.initial_posture, key="initial_posture")
     frame = goal_frame(scenario, model.plant)
     model.plant.SetPositions(model.context, q)
     X_WF = frame.CalcPoseInWorld(model.context)
     twist = np.zeros(6)
     if scenario.starts_moving:
-        twist = model.calc_jacobian(q, frame) @ velocity_at_start(scenario, model)
+        twist = model.calc_jacobian(q, frame) @ velocity_at_start(mission, model)
     blend = Blend(reference, duration)
     quaternion, change = X_WF.rotation().ToQuaternion().wxyz(), np.zeros(6)
     if reference.goal == "stop":

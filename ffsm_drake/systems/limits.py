@@ -5,13 +5,12 @@ import itertools
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.numbers import number
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.limits import FORCE, Limit, urdf_limits
-from ffsm_drake.spacecraft.plant import coordinates_of
+from ffsm_drake.spacecraft.limits import FORCE, Limit
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.registry import base_actuators, section_parts
 
@@ -81,13 +80,9 @@ def uneven_remarks(scenario: Scenario) -> Iterator[str]:
 
 
 def limits_of(
-    scenario: Scenario,
-    plant: MultibodyPlant,
-    parts: Iterable[Part] | None = None,
-    *,
-    helped: bool = False,
+    mission: Mission, parts: Iterable[Part] | None = None, *, helped: bool = False
 ) -> list[Limit]:
-    """Return the limits of a scenario, one for each source; ``tightest`` joins the limits of a
+    """Return the limits of a mission, one for each source; ``tightest`` joins the limits of a
     quantity.
 
     ``parts`` default to the scenario's own actuators; ``helped``: see ``actuation_limit``.
@@ -95,20 +90,17 @@ def limits_of(
     Raises ScenarioError, ModelError: a limit names an unknown coordinate, or a URDF cannot be
     read.
     """
-    force = actuation_limit(scenario, coordinates_of(plant), helped=helped)
-    return [*joint_limits(scenario, plant, parts), force]
+    force = actuation_limit(mission.scenario, mission.craft.coordinates, helped=helped)
+    return [*joint_limits(mission, parts), force]
 
 
-def joint_limits(
-    scenario: Scenario, plant: MultibodyPlant, parts: Iterable[Part] | None = None
-) -> list[Limit]:
+def joint_limits(mission: Mission, parts: Iterable[Part] | None = None) -> list[Limit]:
     """``limits_of`` without the actuators' limits of force: limits without enforcement; ``parts``
     default to those of all the scenario's own sections.
     """
-    coordinates = coordinates_of(plant)
-    given = section_parts(scenario).values() if parts is None else parts
-    own = (limit for part in given for limit in part.limits(coordinates))
-    return [*urdf_limits(scenario.model, plant), *own]
+    given = section_parts(mission.scenario).values() if parts is None else parts
+    own = (limit for part in given for limit in part.limits(mission.craft.coordinates))
+    return [*mission.craft.limits, *own]
 
 
 def actuation_limit(scenario: Scenario, coordinates: Coordinates, *, helped: bool = False) -> Limit:

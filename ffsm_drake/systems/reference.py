@@ -15,15 +15,14 @@ v_0 this is the eigenaxis turn.
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
 from ffsm_drake.common.registrations import SERVICES
-from ffsm_drake.scenario import WHOLE, Grip, Posture, Scenario, planned_part
-from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
-from ffsm_drake.spacecraft.plant import files_read
+from ffsm_drake.scenario import WHOLE, Grip, Scenario
+from ffsm_drake.spacecraft.mission import Mission, planned
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.continuous import Continuous
@@ -47,8 +46,8 @@ SIGNALS = (
 )  # fmt: skip
 
 
-def make_motion(scenario: Scenario, coordinates: Coordinates, grip: Grip = WHOLE) -> PlannedMotion:
-    """Return the planned motion of a scenario, or of its phase with a grip.
+def make_motion(mission: Mission, grip: Grip = WHOLE) -> PlannedMotion:
+    """Return the planned motion of a mission, or of its phase with a grip.
 
     With a capture it starts at the velocity after the grasp of the nominal payload; without one,
     with the goal ``stop``, at ``initial_velocity``. Undriven
@@ -58,106 +57,100 @@ def make_motion(scenario: Scenario, coordinates: Coordinates, grip: Grip = WHOLE
       ModelError, ScenarioError: no grasp of the target, or no motion within the limits, can be
         computed, or the plan cannot be read.
     """
+    return _motion_of(mission, grip)
+
+
+@planned
+def _motion_of(mission: Mission, grip: Grip) -> PlannedMotion:
+    scenario = mission.scenario
     for name, posture in scenario.postures.items():
-        coordinates.check_names(posture.joints, key=f"{name}.joints")
-    reference, period = scenario.reference, scenario.sample_time
-    approach: PlannedMotion | None = None
-    if scenario.grasp_time > 0.0:
-        approach = SERVICES.load("planned_approach", "capture.approach")(scenario)
-        if not grip.holds:
-            return approach
-    nominal = functools.cache(lambda: make_nominal_plant(scenario, grip))  # few motions need it
-    target = None if reference.goal == "stop" else scenario.target_posture
+        mission.craft.coordinates.check_names(posture.joints, key=f"{name}.joints")
+    if scenario.grasp_time == 0.0:
+        return _from_start(mission, grip)
+    approach: PlannedMotion = SERVICES.load("planned_approach", "capture.approach")(mission)
+    if not grip.holds:
+        return approach
+    stop = _from_start(mission, grip)
+    return InTurn(
+        [(0.0, approach), (approach.end, stop)],
+        begin=approach.end,
+        end=approach.end + stop.end,
+        sample_time=scenario.sample_time,
+    )
 
-    def polynomial(
-        blend: Blend, posture: Posture | None, velocity: np.ndarray | None
-    ) -> PolynomialMotion:
-        return PolynomialMotion(
-            coordinates=coordinates,
-            start=scenario.initial_posture,
-            target=posture,
-            blend=blend,
-            base_rotation=reference.base_rotation,
-            sample_time=period,
-            velocity=velocity,
-        )
 
-    velocity = velocity_at_start(scenario, nominal()) if scenario.starts_moving else None
-    duration = reference.duration
-    stop: PlannedMotion
+def _from_start(mission: Mission, grip: Grip) -> PlannedMotion:
+    """Return the motion from the start of a mission, or from its grasp on."""
+    scenario, nominal = mission.scenario, mission.craft.nominal(grip)
+    reference, coordinates = scenario.reference, mission.craft.coordinates
     if reference.kind == "optimal":
         plan = load_plan(reference.plan or "", coordinates)
-        stop = PathMotion(plan, coordinates=coordinates, sample_time=period)
-    else:
-        if duration is None:
-            duration = shortest_duration(
-                scenario,
-                lambda duration: _follow(
-                    scenario, nominal, polynomial(Blend(reference, duration), target, velocity)
-                ),
-                shaped_by=make_impulses(reference.shaper).length,
-            )
-        stop = polynomial(Blend(reference, duration), target, velocity)
-    stop = _follow(scenario, nominal, stop)
-    if approach is None:
-        return stop
-    grasp, end = approach.end, approach.end + stop.end
-    return InTurn([(0.0, approach), (grasp, stop)], begin=grasp, end=end, sample_time=period)
+        path = PathMotion(plan, coordinates=coordinates, sample_time=scenario.sample_time)
+        return _follow(mission, nominal, path)
+    velocity = velocity_at_start(mission, nominal) if scenario.starts_moving else None
+
+    @functools.cache
+    def motion_in(duration: float) -> PlannedMotion:
+        polynomial = PolynomialMotion(
+            coordinates=coordinates,
+            start=scenario.initial_posture,
+            target=None if reference.goal == "stop" else scenario.target_posture,
+            blend=Blend(reference, duration),
+            base_rotation=reference.base_rotation,
+            sample_time=scenario.sample_time,
+            velocity=velocity,
+        )
+        return _follow(mission, nominal, polynomial)
+
+    duration = reference.duration
+    if duration is None:
+        shaped_by = make_impulses(reference.shaper).length
+        duration = shortest_duration(mission, motion_in, shaped_by=shaped_by)
+    return motion_in(duration)
 
 
-def _follow(
-    scenario: Scenario, make_nominal: Callable[[], PlantModel], motion: PlannedMotion
-) -> PlannedMotion:
+def _follow(mission: Mission, nominal: PlantModel, motion: PlannedMotion) -> PlannedMotion:
     """Return a motion along a prescribed frame path: joints follow the frame, undriven coordinates
     the conservation of momentum. A closed chain's follow its target.
     """
+    scenario = mission.scenario
     if len(scenario.contacts) > 1:
         chain: PlannedMotion = SERVICES.load("closed_chain_motion", "contacts")(
-            motion, scenario, make_nominal()
+            motion, mission, nominal
         )
         return chain
     if scenario.reference.frame is None and not scenario.undriven:
         return motion
-    plain, nominal = Scenario(), make_nominal()
-    part = dataclasses.replace(
-        planned_part(scenario),
-        duration=plain.duration,
-        sample_time=plain.sample_time,
-        divergence_speed=plain.divergence_speed,
-        clearance=plain.clearance,
-        planning=plain.planning,
-    )
-    # All inputs of the quantities derived from the motion.
-    content, period = (part, files_read(scenario), motion.end), scenario.sample_time
+    period = scenario.sample_time
     if scenario.reference.frame is None:
         follow = SERVICES.load("free_motion", "actuation.driven")
-        followed: PlannedMotion = follow(motion, model=nominal, sample_time=period, content=content)
+        followed: PlannedMotion = follow(motion, model=nominal, sample_time=period)
         return followed
     resolved: PlannedMotion = SERVICES.load("resolved_motion", "reference.frame")(
         motion,
-        path=make_frame_path(scenario, nominal, duration=motion.end),
+        path=make_frame_path(mission, nominal, duration=motion.end),
         goal=scenario.reference.frame,
         frame=goal_frame(scenario, nominal.plant),
         model=nominal,
         sample_time=period,
-        content=content,
     )
     return resolved
 
 
-def timed(scenario: Scenario, grip: Grip = WHOLE) -> Scenario:
-    """Return the scenario with a duration of ``auto`` replaced by seconds; errors as
+def timed(mission: Mission, grip: Grip = WHOLE) -> Mission:
+    """Return the mission with a duration of ``auto`` replaced by seconds; errors as
     ``make_motion``.
     """
+    scenario = mission.scenario
     if scenario.reference.duration is not None:
-        return scenario
-    motion = make_motion(scenario, make_nominal_plant(scenario).coordinates, grip)
+        return mission
+    motion = make_motion(mission, grip)
     duration = motion.end - motion.begin
     # whole samples: restores the exact number after a difference
     if scenario.reference.kind != "optimal":
         duration = round(duration / scenario.sample_time) * scenario.sample_time
     reference = dataclasses.replace(scenario.reference, duration=duration)
-    return dataclasses.replace(scenario, reference=reference)
+    return mission.flown_by(reference=reference)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -166,9 +159,9 @@ class PlannedReference(Part):
 
     def build(self, setup: BlockSetup) -> "AlongMotion":
         """Return the block of the planned motion."""
-        planned = make_motion(setup.scenario, setup.coordinates, setup.grip)
-        frame = make_frame_motion(setup.scenario, setup.nominal, planned)
-        return AlongMotion(motion=planned, frame=frame)
+        motion = make_motion(setup.mission, setup.grip)
+        frame = make_frame_motion(setup.mission, setup.nominal, motion)
+        return AlongMotion(motion=motion, frame=frame)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -206,13 +199,14 @@ class AlongMotion(Continuous):
 
 
 def make_frame_motion(
-    scenario: Scenario, nominal: PlantModel, planned: PlannedMotion
+    mission: Mission, nominal: PlantModel, motion: PlannedMotion
 ) -> PlannedMotion | None:
     """Return the path of the frame whose pose is prescribed along a planned motion, if one is."""
-    if not prescribes_frame(scenario):
+    if not prescribes_frame(mission.scenario):
         return None
-    path = make_frame_path(scenario, nominal, duration=planned.end - planned.begin)
-    return PathMotion(path, coordinates=planned.coordinates, sample_time=scenario.sample_time)
+    path = make_frame_path(mission, nominal, duration=motion.end - motion.begin)
+    period = mission.scenario.sample_time
+    return PathMotion(path, coordinates=motion.coordinates, sample_time=period)
 
 
 def prescribes_frame(scenario: Scenario) -> bool:

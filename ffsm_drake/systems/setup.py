@@ -18,7 +18,9 @@ from pydrake.systems.framework import (
 from ffsm_drake.common.errors import some
 from ffsm_drake.scenario import Grip, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
-from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
+from ffsm_drake.spacecraft.craft import Craft
+from ffsm_drake.spacecraft.mission import Mission
+from ffsm_drake.spacecraft.nominal import PlantModel
 
 
 class _Settings(dict[str, Any]):
@@ -112,24 +114,37 @@ class BlockSetup:
     ``nominal``. ``true`` is for blocks of its environment, such as sensors and forces.
 
     Example:
-      >>> from ffsm_drake import BlockSetup, load_scenario, make_nominal_plant
-      >>> scenario = load_scenario("postcapture")
-      >>> nominal = make_nominal_plant(scenario)
-      >>> given = {"scenario": scenario, "nominal": nominal, "settings": {"gain": 2.0}}
-      >>> setup = BlockSetup(name="drag", **given)
+      >>> from ffsm_drake import BlockSetup, load_scenario
+      >>> from ffsm_drake.spacecraft.mission import Mission
+      >>> mission = Mission(load_scenario("postcapture"))
+      >>> given = {"nominal": mission.craft.nominal(), "settings": {"gain": 2.0}}
+      >>> setup = BlockSetup(name="drag", mission=mission, **given)
       >>> setup.settings["gain"], setup.sample_time, len(setup.coordinates.names)
       (2.0, 0.01, 11)
     """
 
     name: str  # the system's name in the diagram
-    scenario: Scenario
+    mission: Mission  # the scenario, its spacecraft, and what is planned
     nominal: PlantModel  # the plant with the nominal payload
     settings: Mapping[str, Any]  # as the scenario gives them to this block
-    # properties of the environment, unknown to any controller
-    split: StateSplit = dataclasses.field(default_factory=StateSplit)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "settings", _Settings(self.settings))
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario of the run."""
+        return self.mission.scenario
+
+    @property
+    def craft(self) -> Craft:
+        """The spacecraft, of which a controller must use only ``nominal`` models."""
+        return self.mission.craft
+
+    @property
+    def split(self) -> StateSplit:
+        """Known and hidden coordinates of the true plant, unknown to any controller."""
+        return self.craft.split
 
     @property
     def coordinates(self) -> Coordinates:
@@ -149,4 +164,4 @@ class BlockSetup:
     @functools.cached_property
     def true(self) -> PlantModel:
         """The plant with the true payload, with its own context."""
-        return make_true_plant(self.scenario, self.grip)
+        return self.craft.true(self.grip)

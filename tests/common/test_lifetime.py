@@ -12,6 +12,7 @@ from pydrake.systems.framework import LeafSystem
 from ffsm_drake import load_scenario, make_nominal_plant, simulate
 from ffsm_drake.common.lifetime import holds_diagrams
 from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import make_controller
 
 pytestmark = pytest.mark.rounding
@@ -82,7 +83,7 @@ def test_simulating_again_and_again_takes_no_more_memory(blocks):
 def test_a_system_that_was_never_wired_is_freed():
     scenario = load_scenario("postcapture")
     nominal = make_nominal_plant(scenario)
-    made = weakref.ref(make_controller(scenario, nominal))
+    made = weakref.ref(make_controller(make_mission(scenario), nominal))
     gc.collect()
     assert made() is None
 

@@ -14,7 +14,7 @@ from ffsm_drake import load_scenario, make_closed_loop
 from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.scenario import scenario_from_yaml, shipped_scenarios
 from ffsm_drake.spacecraft.clearance import Clearance
-from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.craft import make_true_plant
 from ffsm_drake.spacecraft.plant import models_dir
 
 URDFS = [

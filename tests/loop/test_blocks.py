@@ -24,6 +24,7 @@ from ffsm_drake import (
 )
 from ffsm_drake.cli import main
 from ffsm_drake.loop.blocks import BLOCKS, make_blocks
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.testing import ConformanceError, check_block
 
 pytestmark = pytest.mark.rounding
@@ -38,7 +39,7 @@ class Rest(LeafSystem):
     def __init__(self, setup):
         super().__init__()
         model, posture = setup.nominal, setup.scenario.initial_posture
-        q = configuration(model.plant, posture, key="initial_posture")
+        q = configuration(model.coordinates, posture, key="initial_posture")
         nv = len(setup.coordinates.names)
         self.values = {"desired_state": np.r_[q, np.zeros(nv)],
                        "desired_acceleration": np.zeros(nv)}
@@ -432,7 +433,7 @@ def test_an_unknown_block_is_refused():
         match=r"blocks.sensors: is not a block; choose reference, "
         r"sensing, controller, ",
     ):
-        make_blocks(scenario, make_nominal_plant(scenario), {"sensors": pulse})
+        make_blocks(make_mission(scenario), make_nominal_plant(scenario), {"sensors": pulse})
 
 
 class Shift(LeafSystem):

@@ -6,6 +6,7 @@ import pytest
 from ffsm_drake import load_scenario, make_closed_loop
 from ffsm_drake.loop.closed_loop import SIGNALS
 from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.reference import make_motion
 
 pytestmark = pytest.mark.rounding
@@ -107,6 +108,6 @@ def test_initialize_sets_posture_payload_and_seed():
     assert not noise[0][:12].any()
     plant_context = loop.plant.GetMyContextFromRoot(context)
     assert loop.plant.GetPositions(plant_context) == pytest.approx(
-        make_motion(loop.scenario, loop.coordinates).evaluate(0.0)[0]
+        make_motion(make_mission(loop.scenario)).evaluate(0.0)[0]
     )
     assert loop.plant.CalcTotalMass(plant_context) == pytest.approx(549.0)

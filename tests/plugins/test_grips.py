@@ -1,4 +1,4 @@
-"""What holds the target in a phase: no part of the scenario, so caches need it in their keys."""
+"""What holds the target in a phase: no part of the scenario, so kept results need it."""
 
 import ast
 import dataclasses
@@ -14,14 +14,9 @@ from ffsm_drake.common.memo import content_of
 from ffsm_drake.plugins.compiled.case import case_of
 from ffsm_drake.plugins.estimators import coupled
 from ffsm_drake.plugins.planning import tvlqr
-from ffsm_drake.scenario import EMPTY, HELD, planned_part
+from ffsm_drake.scenario import EMPTY, HELD
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import make_law
-
-# memoised functions of a mission as a whole
-_OF_MISSIONS = {
-    "_budget_of", "_clear_start", "_found", "_path", "_plan_clearance_of", "_shared",
-    "returned_shares",
-}  # fmt: skip
 
 
 def _drawn(seed):
@@ -41,7 +36,7 @@ def _drawn(seed):
 
 def _gains_of(scenario, grip):
     scenario = dataclasses.replace(scenario, controller="tvlqr")
-    return tvlqr._gains_of(scenario, grip, {})[:3]
+    return tvlqr._gains_of(make_mission(scenario), grip, {})[:3]
 
 
 def _gains_along(scenario, grip):
@@ -53,18 +48,15 @@ def _gains_along(scenario, grip):
         "bias_walk": 0.0 * noise,
     }
     axes = np.array([0, 1, 2, 6, 7, 8, 9, 10])
-    return coupled._gains_along(planned_part(scenario), grip, axes=axes, **noises)[1][:1]
+    return coupled._gains_along(make_mission(scenario), grip, axes=axes, **noises)[1][:1]
 
 
 def _case_of(scenario, grip):
-    return case_of(scenario, grip).nominal.calc_mass_matrix(np.eye(12)[0])
-
-
-_OF_PHASES = {each.__name__: each for each in (_gains_of, _gains_along)}
+    return case_of(make_mission(scenario), grip).nominal.calc_mass_matrix(np.eye(12)[0])
 
 
 def _memoised():
-    """Parameters of every memoised function of a scenario, by the function's name."""
+    """Every memoised function of a scenario by its name."""
     for path in Path(ffsm_drake.__file__).parent.rglob("*.py"):
         text = path.read_text()
         if "memoized(" not in text and "functools.lru_cache" not in text:
@@ -76,16 +68,14 @@ def _memoised():
             ):
                 kinds = [ast.unparse(one.annotation) for one in each.args.args if one.annotation]
                 if {"Scenario", "BlockSetup"} & set(kinds):
-                    yield each.name, kinds
+                    yield each.name
 
 
-def test_every_cache_of_a_scenario_is_of_missions_or_takes_the_grip():
-    found = dict(_memoised())
-    assert {name for name, kinds in found.items() if "Grip" in kinds} == {*_OF_PHASES}
-    assert {name for name, kinds in found.items() if "Grip" not in kinds} == _OF_MISSIONS
+def test_results_of_a_scenario_are_kept_by_its_mission():
+    assert set(_memoised()) == {"returned_shares"}
 
 
-@pytest.mark.parametrize("of", [*_OF_PHASES.values(), _case_of], ids=lambda each: each.__name__)
+@pytest.mark.parametrize("of", [_gains_of, _gains_along, _case_of], ids=lambda each: each.__name__)
 def test_a_cache_distinguishes_grips(of):
     scenario = _drawn(0)
     held, empty, again = (content_of(of(scenario, grip)) for grip in (HELD, EMPTY, HELD))
@@ -97,9 +87,9 @@ def test_a_law_knows_the_payload_of_its_phase(seed):
     """A law with a model, made for one grip after another."""
     scenario = dataclasses.replace(_drawn(seed), controller="computed_torque")
     masses = {
-        grip: make_law(scenario, make_nominal_plant(scenario, grip)).model.calc_mass_matrix(
-            np.eye(12)[0]
-        )[3, 3]
+        grip: make_law(
+            make_mission(scenario), make_nominal_plant(scenario, grip)
+        ).model.calc_mass_matrix(np.eye(12)[0])[3, 3]
         for grip in (HELD, EMPTY)
     }
     lost = masses[HELD] - masses[EMPTY]

@@ -33,6 +33,8 @@ from hypothesis import strategies as st
 
 from ffsm_drake import FfsmError, load_scenario
 from ffsm_drake.scenario import controller_key
+from ffsm_drake.spacecraft.craft import make_nominal_plant
+from ffsm_drake.spacecraft.mission import make_mission
 
 SENTINEL = "sentinel_of_a_policy"  # a module that no file may import
 SHORT = ("duration=0.3",)
@@ -79,7 +81,6 @@ POLICIES = st.fixed_dictionaries(
 
 @functools.cache
 def nominal():
-    from ffsm_drake.spacecraft.nominal import make_nominal_plant
 
     return make_nominal_plant(load_scenario("postcapture"))
 
@@ -134,7 +135,7 @@ def look_at_policy(given):
 
         scenario = load_scenario(str(folder / "s.yaml"))
         assert set(controller_key(scenario.controller)).isdisjoint("/\\.:@'\" ")
-        make_controller(scenario, nominal())
+        make_controller(make_mission(scenario), nominal())
         assert given["spoil"] or given["data"] in ("", "w.bin"), "a file outside was read"
     finally:
         sys.path.remove(str(folder))

@@ -28,7 +28,7 @@ class Given(LeafSystem):
         super().__init__()
         nv = len(setup.coordinates.names)
         posture = setup.scenario.initial_posture
-        self.q = configuration(setup.nominal.plant, posture, key="initial_posture")
+        self.q = configuration(setup.nominal.coordinates, posture, key="initial_posture")
         for name, kind in self.sizes:
             size = {"state": 2 * nv + 1, "force": nv}[kind]
             self.DeclareVectorOutputPort(

@@ -35,8 +35,8 @@ def test_a_record_names_its_engine_also_one_written_before(tmp_path, name, told)
 class Partial(Engine):
     """An engine that covers, and computes, some seeds."""
 
-    def run_all(self, scenarios, signals=None):
-        given = [scenario.random_seed for scenario in scenarios]
+    def run_all(self, missions, signals=None):
+        given = [mission.scenario.random_seed for mission in missions]
         return [None if seed == 1 else NotCovered("odd seeds") for seed in given]
 
 

@@ -7,9 +7,10 @@ import pytest
 
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.ending import DIVERGED
-from ffsm_drake.runs.phases import Mission, Phase, PhasedRollout, PhaseKind
+from ffsm_drake.runs.phases import Phase, PhasedRollout, PhaseKind, Phases
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import EMPTY, HELD, load_scenario, override_scenario
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import controller_factory
 
 SCENARIO = load_scenario("postcapture", ["duration=0.6", "reference.duration=10"])
@@ -38,14 +39,14 @@ class TwoPhases(PhasedRollout):
     outcome = "done"
     legs = ()
 
-    def mission(self, scenario):
+    def phases(self, mission):
         first = Given(self.first, self.outcome)
 
         def finish(log, now):
             self.legs = now.legs(len(log.time))
             return log
 
-        return Mission(kinds={"": first, "done": Given(self.second)}, finish=finish)
+        return Phases(kinds={"": first, "done": Given(self.second)}, finish=finish)
 
 
 def _of_law(name):
@@ -56,7 +57,7 @@ def _of_law(name):
 def test_a_change_of_loops_keeps_the_bits(is_kept):
     alone, rollout = Rollout(SCENARIO).run(), TwoPhases(SCENARIO)
     if not is_kept:  # a loop of its own
-        rollout.second = dataclasses.replace(rollout.second, scenario=SCENARIO)
+        rollout.second = dataclasses.replace(rollout.second, plan=Mission(SCENARIO))
     for _ in range(2):
         log = rollout.run()
         assert log.outcome == alone.outcome
@@ -86,7 +87,7 @@ def test_nothing_in_the_gripper_is_lighter():
     forces = {}
     for grip in (HELD, EMPTY):
         rollout = TwoPhases(motion := _of_law("computed_torque"))
-        rollout.first = Phase(names=(("only", None),), scenario=motion, grip=grip)
+        rollout.first = Phase(names=(("only", None),), plan=Mission(motion), grip=grip)
         forces[grip] = np.abs(rollout.run().series["generalized_force"][5:]).max(axis=0)
     assert (forces[EMPTY][6:] < 0.7 * forces[HELD][6:]).all()
 

@@ -19,6 +19,7 @@ from ffsm_drake import (
 )
 from ffsm_drake.spacecraft.coordinates import error_rate, position_error
 from ffsm_drake.spacecraft.mass_properties import set_payload
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import base_rpy, make_plant
 
 
@@ -87,7 +88,7 @@ def test_every_sample_satisfies_the_control_law(run, controller):
     record = run("postcapture", f"controller={controller}", "duration=3")
     data, scenario = record.dataset, record.scenario
     nominal = make_nominal_plant(scenario)
-    law = make_law(scenario, nominal).dynamics
+    law = make_law(make_mission(scenario), nominal).dynamics
     state = law.initial_state()
     q, v = data["measured_position"].values, data["measured_velocity"].values
     tau = data["generalized_force"].values

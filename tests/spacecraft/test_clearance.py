@@ -13,7 +13,12 @@ from pydrake.systems.framework import DiagramBuilder
 from ffsm_drake import load_scenario
 from ffsm_drake.scenario import Model
 from ffsm_drake.spacecraft.clearance import ApproachClearance, Clearance
-from ffsm_drake.spacecraft.plant import add_combined_plant, configuration, models_dir
+from ffsm_drake.spacecraft.plant import (
+    add_combined_plant,
+    configuration,
+    coordinates_of,
+    models_dir,
+)
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "8"))
 BEYOND = 0.012  # m; by which a picture may stand out of its shape
@@ -57,7 +62,9 @@ def test_what_is_farther_than_asked_for_is_not_measured(name):
 
 
 def test_overlap_is_negative_and_where_it_is(planar):
-    folded = configuration(planar.plant, load_scenario("planar_detumble").initial_posture, key="")
+    folded = configuration(
+        coordinates_of(planar.plant), load_scenario("planar_detumble").initial_posture, key=""
+    )
     folded[7:] = [2.6, 0.3, 0.0]  # down through the bus
     nearest = planar.nearest(folded)
     assert nearest.distance < 0.0
@@ -170,7 +177,9 @@ def test_shapes_hold_the_pictures(scenario):
 def test_the_shipped_targets_fold_in_without_touching(scenario, distance):
     loaded = load_scenario(scenario)
     clearance = Clearance(loaded.model)
-    nearest = clearance.nearest(configuration(clearance.plant, loaded.target_posture, key=""))
+    nearest = clearance.nearest(
+        configuration(coordinates_of(clearance.plant), loaded.target_posture, key="")
+    )
     assert {nearest.first, nearest.second} == {"base", "debris"}
     assert nearest.distance == pytest.approx(distance, abs=2e-3)
 
@@ -181,7 +190,7 @@ def test_a_target_apart_is_measured_where_it_is():
     """
     scenario = load_scenario("tumbling_capture")
     held, apart = Clearance(scenario.model), ApproachClearance(scenario.model, "debris::debris")
-    q = configuration(held.plant, scenario.initial_posture, key="")
+    q = configuration(coordinates_of(held.plant), scenario.initial_posture, key="")
     held.plant.SetPositions(held.plant_context, q)
     X_WP = held.plant.GetBodyByName("debris").EvalPoseInWorld(held.plant_context)
 
@@ -201,7 +210,7 @@ def test_a_target_turned_about_the_gripper_meets_it():
     """The gripper may touch the target where it holds it, but not run through it askew."""
     scenario = load_scenario("tumbling_capture")
     held, apart = Clearance(scenario.model), ApproachClearance(scenario.model, "debris::debris")
-    q = configuration(held.plant, scenario.initial_posture, key="")
+    q = configuration(coordinates_of(held.plant), scenario.initial_posture, key="")
     held.plant.SetPositions(held.plant_context, q)
     X_WP = held.plant.GetBodyByName("debris").EvalPoseInWorld(held.plant_context)
     X_WE = held.plant.GetFrameByName("end_effector").CalcPoseInWorld(held.plant_context)

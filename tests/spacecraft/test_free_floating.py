@@ -18,9 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ModelError, ScenarioError, load_scenario, make_true_plant
 from ffsm_drake.scenario import MassProperties
+from ffsm_drake.spacecraft.craft import Craft
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import base_body
 
 SCENARIOS = ("postcapture", "seven_joint", "planar_detumble")
@@ -450,4 +451,4 @@ def test_bad_input_is_said_in_one_line(planar: PlantModel) -> None:
         free_floating(planar, q, ("base_rotation", "joints")).reaction_null_space()
     flexible = load_scenario("flexible_panels")
     with pytest.raises(ValueError, match="flexible parts"):
-        free_floating(make_flexible_plant(flexible), np.zeros(14))
+        free_floating(Craft(flexible).flexible(), np.zeros(14))

@@ -6,7 +6,7 @@ import pytest
 from ffsm_drake import load_scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, Limit, tightest
-from ffsm_drake.spacecraft.plant import make_plant
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.limits import limits_of
 
 ONE = Coordinates(joints=("a",), joint_units=("m",))
@@ -60,7 +60,7 @@ def test_the_tightest_of_several():
 def test_limits_come_from_the_scenario_and_its_actuators():
     drives = "actuation={limit: {all: 20}, drives: {rate_limit: {joint_2: 0.02}}}"
     scenario = load_scenario("postcapture", [drives])
-    limits = limits_of(scenario, make_plant(scenario.model))
+    limits = limits_of(Mission(scenario))
     rate = tightest(limits, RATE)
     assert rate.upper[rate.names.index("joint_2")] == 0.02
     assert rate.upper[rate.names.index("joint_1")] > 0.02

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.scenario import MassProperties, Model, load_scenario
+from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.plant import make_plant
 
 DEBRIS = "debris::debris"

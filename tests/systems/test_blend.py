@@ -9,7 +9,7 @@ from scipy.integrate import simpson
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Reference, Shaper
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.blend import Blend, make_impulses, septic_blend, septic_stop
 from ffsm_drake.systems.reference import make_motion
 
@@ -159,9 +159,8 @@ LIMITED = ("actuation.limit={base_position: 5, base_rotation: 3, joints: 3}", "r
 
 def test_the_shortest_duration_counts_the_shaper():
     scenario = load_scenario("postcapture", ["reference.duration=auto", *LIMITED])
-    coordinates = make_nominal_plant(scenario).coordinates
     durations = {
-        name: make_motion(dataclasses.replace(scenario, reference=reference), coordinates).end
+        name: make_motion(make_mission(dataclasses.replace(scenario, reference=reference))).end
         for name, reference in {
             "quintic": scenario.reference,
             "septic": dataclasses.replace(scenario.reference, kind="septic"),
@@ -180,8 +179,7 @@ def test_the_shortest_duration_counts_the_shaper():
 def test_a_shaped_motion_goes_from_posture_to_posture():
     overrides = ["reference.kind=septic", "reference.shaper={kind: zvd, frequencies: [0.25]}"]
     scenario, plain = load_scenario("postcapture", overrides), load_scenario("postcapture")
-    coordinates = make_nominal_plant(scenario).coordinates
-    motion, usual = make_motion(scenario, coordinates), make_motion(plain, coordinates)
+    motion, usual = make_motion(make_mission(scenario)), make_motion(make_mission(plain))
     for time in (0.0, 20.0, 25.0):
         for mine, its in zip(motion.evaluate(time), usual.evaluate(time), strict=True):
             np.testing.assert_allclose(mine, its, rtol=0, atol=1e-12)
@@ -191,8 +189,8 @@ def test_a_shaped_motion_goes_from_posture_to_posture():
 def test_a_capture_is_shaped_on_both_sides_of_the_grasp():
     scenario = load_scenario("tumbling_capture", ["reference.shaper={frequencies: [0.25]}"])
     make_rollout(scenario).check()
-    motion = make_motion(scenario, make_nominal_plant(scenario).coordinates)
-    plain = make_motion(load_scenario("tumbling_capture"), motion.coordinates)
+    motion = make_motion(make_mission(scenario))
+    plain = make_motion(make_mission(load_scenario("tumbling_capture")))
     # where it is, and how fast, at the ends of both parts
     for time in (0.0, scenario.grasp_time, motion.end):
         for mine, its in zip(motion.evaluate(time)[:2], plain.evaluate(time)[:2], strict=True):
@@ -237,8 +235,7 @@ def test_a_capture_is_shaped_on_both_sides_of_the_grasp():
     ],
 )
 def test_errors_are_one_clear_line(overrides, expected):
-    coordinates = make_nominal_plant(load_scenario("postcapture")).coordinates
     with pytest.raises(ScenarioError) as error:
-        make_motion(load_scenario("postcapture", overrides), coordinates)
+        make_motion(make_mission(load_scenario("postcapture", overrides)))
     assert expected in str(error.value)
     assert "\n" not in str(error.value)

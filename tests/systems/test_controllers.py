@@ -10,6 +10,7 @@ import pytest
 
 from ffsm_drake import load_scenario, make_closed_loop, make_nominal_plant
 from ffsm_drake.spacecraft.coordinates import error_rate, position_error
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import PAPER_LAWS, make_controller, make_law
 from ffsm_drake.systems.controllers.law import gains_of
 from ffsm_drake.systems.controllers.laws import asmc, tde_aismc
@@ -176,7 +177,9 @@ def coordinates_and_laws(**changes):
     )
     nominal = make_nominal_plant(scenario)
     return nominal.coordinates, {
-        name: make_law(dataclasses.replace(scenario, controller=name), nominal).dynamics
+        name: make_law(
+            make_mission(dataclasses.replace(scenario, controller=name)), nominal
+        ).dynamics
         for name in PAPER_LAWS
     }
 
@@ -336,7 +339,7 @@ def test_published_gains_are_those_of_section_4():
 @pytest.mark.parametrize("name", PAPER_LAWS)
 def test_ports_and_state_of_the_leaf_system(name):
     scenario = load_scenario("postcapture", [f"controller={name}"])
-    controller = make_controller(scenario, make_nominal_plant(scenario))
+    controller = make_controller(make_mission(scenario), make_nominal_plant(scenario))
     inputs = {
         controller.get_input_port(i).get_name(): controller.get_input_port(i).size()
         for i in range(3)
@@ -358,7 +361,7 @@ def test_first_update_takes_no_acceleration_and_no_previous_force():
     scenario = load_scenario("postcapture", ["controller=tdc"])
     loop = make_closed_loop(scenario)
     controller, coordinates = loop.blocks["controller"], loop.coordinates
-    motion = make_motion(loop.scenario, coordinates)
+    motion = make_motion(make_mission(loop.scenario))
     context = controller.CreateDefaultContext()
     q, v, _ = motion.evaluate(5.0)
     q_d, v_d, a_d = motion.evaluate(6.0)
@@ -407,6 +410,6 @@ def test_starting_gains_of_pd_plus_are_slow_for_every_mass_matrix():
 )
 def test_random_walks_that_are_designed(overrides, walks):
     scenario = load_scenario("flight_sensors", overrides)
-    law = make_law(scenario, make_nominal_plant(scenario))
+    law = make_law(make_mission(scenario), make_nominal_plant(scenario))
     assert law.random_walks == walks
     assert all(hasattr(scenario.estimator, name) for name in walks)

@@ -8,7 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ModelError, ScenarioError, load_scenario
 from ffsm_drake.common.registrations import SERVICES
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import configuration, find_frame
 from ffsm_drake.systems.frame_path import make_frame_path
 
@@ -22,7 +23,7 @@ CAPTURE = [
 def path_of(*overrides, scenario="flight_sensors"):
     loaded = load_scenario(scenario, overrides)
     model = make_nominal_plant(loaded)
-    return make_frame_path(loaded, model), loaded, model
+    return make_frame_path(make_mission(loaded), model), loaded, model
 
 
 def attitude(rows):
@@ -45,7 +46,7 @@ def test_from_rest_along_a_line_and_about_the_eigenaxis_to_the_goal(shaper):
         "reference.frame={frame: 'debris::debris', position: [2, 0.3, -0.4], rpy: [0.3, -0.2, 0.9]}"
     )
     path, scenario, model = path_of(goal, f"reference.shaper={shaper}")
-    q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
+    q = configuration(model.coordinates, scenario.initial_posture, key="initial_posture")
     model.plant.SetPositions(model.context, q)
     pose = find_frame(model.plant, "debris::debris", key="").CalcPoseInWorld(model.context)
     first, middle, last, held = path.rows(np.array([0.0, 7.3, path.end, path.end + 5.0]))
@@ -85,10 +86,10 @@ def test_where_nothing_is_asked_it_stays():
 @pytest.mark.parametrize("goal", ["target_posture", "stop"])
 def test_after_a_capture_it_starts_as_the_grasp_leaves_the_frame(goal):
     path, scenario, model = path_of(*CAPTURE, f"reference.goal={goal}", "reference.frame={}")
-    q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
+    q = configuration(model.coordinates, scenario.initial_posture, key="initial_posture")
     jacobian = model.calc_jacobian(q, scenario.model.end_effector)
     rows = path.rows(np.array([0.0, path.end]))
-    contact = SERVICES.load("planned_contact", "capture")(scenario, model)
+    contact = SERVICES.load("planned_contact", "capture")(make_mission(scenario), model)
     assert_allclose(rows[0, 7:13], jacobian @ contact.grasp.velocity, atol=1e-15)
     assert np.abs(rows[0, 7:13]).min() > 1e-4
     assert not rows[1, 7:].any()

@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, simulate_many
 from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.scenario import Reference
-from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.craft import make_true_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.blend import quintic_blend
 from ffsm_drake.systems.reference import make_motion
 
@@ -24,7 +25,7 @@ def loop():
 @pytest.fixture(scope="module", params=["rpy", "eigenaxis"])
 def motion(loop, request):
     reference = Reference(duration=DURATION, base_rotation=request.param)
-    return make_motion(dataclasses.replace(loop.scenario, reference=reference), loop.coordinates)
+    return make_motion(make_mission(dataclasses.replace(loop.scenario, reference=reference)))
 
 
 def slew(loop, start, target, base_rotation):
@@ -35,7 +36,7 @@ def slew(loop, start, target, base_rotation):
         target_posture=dataclasses.replace(loop.scenario.target_posture, base_rpy=target),
         reference=Reference(duration=DURATION, base_rotation=base_rotation),
     )
-    return make_motion(scenario, loop.coordinates)
+    return make_motion(make_mission(scenario))
 
 
 @pytest.mark.smoke
@@ -92,7 +93,7 @@ def test_rates_are_the_derivatives_of_the_motion(loop, motion, angles, time):
 
 def test_attitude_follows_the_planned_angles(loop):
     """As the scenario says, which follows the paper."""
-    scenario, motion = loop.scenario, make_motion(loop.scenario, loop.coordinates)
+    scenario, motion = loop.scenario, make_motion(make_mission(loop.scenario))
     for time in (3.0, 9.0, 16.0):
         s, _, _ = quintic_blend(time, DURATION)
         q, _, _ = motion.evaluate(time)
@@ -149,7 +150,7 @@ def test_effort_of_large_slews(loop, start, target, rpy, eigenaxis, peak):
 
 def test_ports_give_the_same_motion(loop):
     """At control samples and between them, forwards and backwards, within the plan and beyond."""
-    reference, motion = loop.blocks["reference"], make_motion(loop.scenario, loop.coordinates)
+    reference, motion = loop.blocks["reference"], make_motion(make_mission(loop.scenario))
     context = reference.CreateDefaultContext()
     for time in (4.2, 4.21, 0.0, 4.213, 4.22, 19.99, 20.0, 35.0, 2.56, 2.55):
         context.SetTime(time)
@@ -182,7 +183,7 @@ DRAWN = np.random.default_rng(0).uniform(-0.02, 0.02, (2, 11)).tolist()
 def test_a_stop_without_a_capture_takes_out_the_initial_velocity(loop, drawn):
     """It begins with it, and ends at rest half a duration further."""
     names = loop.coordinates.names
-    motion = make_motion(stopping(dict(zip(names, drawn, strict=True))), loop.coordinates)
+    motion = make_motion(make_mission(stopping(dict(zip(names, drawn, strict=True)))))
     (q, v, a), (q_end, v_end, a_end) = motion.evaluate(0.0), motion.evaluate(8.0)
     assert v == pytest.approx(drawn, abs=1e-15)
     assert np.abs(np.concatenate([a, v_end, a_end])).max() < 1e-14

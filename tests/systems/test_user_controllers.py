@@ -24,6 +24,7 @@ from ffsm_drake import (
     simulate,
 )
 from ffsm_drake.cli import main
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import (
     OPTIONAL_OUTPUTS,
     controller_names,
@@ -402,7 +403,7 @@ def test_every_controller_runs_on_every_shipped_scenario(shipped_scenario, any_c
     if given.contacts:  # some laws need the velocities of all joints, and say so
         scenario = load_scenario(shipped_scenario, short)
         try:
-            make_controller(scenario, make_nominal_plant(scenario))
+            make_controller(make_mission(scenario), make_nominal_plant(scenario))
         except BlockError as error:
             if "set chain.law: plain" not in str(error):
                 raise

@@ -266,7 +266,7 @@ class JointDrives(Part):
         joints = model.split.known_velocities(whole)[NUM_BASE_VELOCITIES:]
         least, fastest = np.inf, ""
         for name, posture in scenario.postures.items():
-            q = model.split.whole_positions(configuration(model.plant, posture, key=name))
+            q = model.split.whole_positions(configuration(model.coordinates, posture, key=name))
             mobility = np.linalg.inv(model.calc_mass_matrix(q))[np.ix_(joints, joints)]
             least, fastest = min((least, fastest), drives.time_constant(mobility))
         if config.max_step_size > least:

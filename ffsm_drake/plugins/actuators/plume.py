@@ -16,8 +16,9 @@ from pydrake.math import RigidTransform
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.scenario import Actuation, Model, Plume, Scenario, Thruster, thrusters_of
 from ffsm_drake.spacecraft.clearance import Clearance
+from ffsm_drake.spacecraft.craft import make_true_plant
 from ffsm_drake.spacecraft.distance import Solids
-from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import base_body, configuration, files_read, find_body
 
 _LEAST = 1e-4  # m; rays do not meet a shape that is nearer to their nozzle or around it
@@ -121,7 +122,7 @@ def returned_shares(scenario: Scenario) -> dict[str, float]:
     field = PlumeField(settings.plume, [*units.values()], model, scenario.model)
     shares = []
     for key in ("initial_posture", "target_posture"):
-        q = configuration(model.plant, getattr(scenario, key), key=key)
+        q = configuration(model.coordinates, getattr(scenario, key), key=key)
         back = np.linalg.norm(field.calc(q, np.ones(len(units)))[1], axis=1)
         shares.append(back)
     return dict(zip(units, np.max(shares, axis=0).tolist(), strict=True))

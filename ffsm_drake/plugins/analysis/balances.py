@@ -14,7 +14,7 @@ from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_VELOCITIES,
     position_errors,
 )
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.systems.parts.signals import INTERNAL_TORQUE, INTERNAL_WORK, STORED_ENERGY
 
 if TYPE_CHECKING:

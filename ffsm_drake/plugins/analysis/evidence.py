@@ -13,7 +13,7 @@ from ffsm_drake.runs.metrics import phases_of, usable_start
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.table import Given, Table
 from ffsm_drake.spacecraft.free_floating import driven_model
-from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers import gain_vectors
 from ffsm_drake.systems.registry import is_shipped
 
@@ -74,8 +74,8 @@ class Evidence:
         self.data = usable_start(data, data.data_vars, least=0)
         self.time = self.data["time"].values
         self.period = float(record.dataset.attrs["sample_time"])
-        self.nominal = driven_model(make_nominal_plant(self.scenario))
-        self.true = driven_model(make_flexible_plant(self.scenario))
+        self.nominal = driven_model(record.mission.craft.nominal())
+        self.true = driven_model(record.mission.craft.flexible())
         self.coordinates = self.nominal.coordinates
         # Duration of the start-up transient, s: at the first sample the controller has no past, so
         # Nhat is 0 whatever N is. With the published gains this excites a pole of about -0.74 per

@@ -29,15 +29,14 @@ from collections.abc import Mapping
 from typing import ClassVar, Self
 
 import numpy as np
-from pydrake.multibody.plant import MultibodyPlant
 from pydrake.solvers import ClarabelSolver, MathematicalProgram, SolverOptions
 from pydrake.systems.controllers import DiscreteTimeLinearQuadraticRegulator
 from scipy.optimize import nnls
 
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.scenario import Scenario, thrusters_of
-from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, RATE, tightest
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.estimation import Estimator, make_estimator
 from ffsm_drake.systems.controllers.law import (
@@ -70,11 +69,12 @@ class Limits:
     jets: np.ndarray
 
     @classmethod
-    def of(cls, scenario: Scenario, plant: MultibodyPlant, coordinates: Coordinates) -> Self:
-        """The limits of a scenario: ``actuation.limit``, drives, URDFs, wheels."""
+    def of(cls, mission: Mission) -> Self:
+        """The limits of a mission: ``actuation.limit``, drives, URDFs, wheels."""
+        scenario, coordinates = mission.scenario, mission.craft.coordinates
         limit, wheels = scenario.actuation.limit or {}, scenario.wheels
         force = coordinates.vector(limit, key="actuation.limit", default=np.inf)
-        of_joints = joint_limits(scenario, plant)
+        of_joints = joint_limits(mission)
         units = () if wheels is None else tuple(wheels.units.values())
         axes = np.array([np.divide(unit.axis, np.linalg.norm(unit.axis)) for unit in units])
         return cls(
@@ -368,6 +368,6 @@ class Mpc(ControlLaw):
     @classmethod
     def from_setup(cls, setup: BlockSetup) -> Self:
         """See ControlLaw. Raises ModelError also: a URDF's limits cannot be read."""
-        limits = Limits.of(setup.scenario, setup.nominal.plant, setup.coordinates)
-        estimator = make_estimator(setup.scenario, setup.coordinates, grip=setup.grip)
+        limits = Limits.of(setup.mission)
+        estimator = make_estimator(setup.mission, setup.coordinates, grip=setup.grip)
         return cls(**field_values(cls, setup, limits=limits, estimator=estimator))

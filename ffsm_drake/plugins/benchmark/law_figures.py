@@ -23,6 +23,7 @@ from ffsm_drake.plugins.design.stability.boundaries import (
 )
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
 from ffsm_drake.scenario import Grip, Scenario, scenario_from_yaml
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.reference import timed
 
 RADIUS, PAYLOAD, DELAY = "spectral_radius", "payload_factor", "delay_margin"
@@ -45,8 +46,8 @@ def law_figures(scenario: str) -> dict[str, float | None]:
     ``law_time``: processor time of the controller at one control sample, s.
     """
     try:
-        given, grip = from_grasp(timed(scenario_from_yaml(scenario)))
-        edge = most_overestimated(PlannedDynamics(given, grip))
+        mission, grip = from_grasp(timed(Mission(scenario_from_yaml(scenario))))
+        given, edge = mission.scenario, most_overestimated(PlannedDynamics(mission, grip))
     except FfsmError:  # such as no motion within the limits
         return dict.fromkeys(FIGURES)
 
@@ -63,10 +64,10 @@ def law_figures(scenario: str) -> dict[str, float | None]:
         return None
 
     return {
-        RADIUS: found(lambda: expected_radius(given)),
+        RADIUS: found(lambda: expected_radius(mission)),
         PAYLOAD: found(lambda: min(largest("nominal_payload"), LARGEST_FACTOR)),
         DELAY: found(lambda: min(largest("delay"), LARGEST_DELAY) * given.sample_time),
-        ERROR: found(lambda: find_limit(given).distance),
+        ERROR: found(lambda: find_limit(mission).distance),
         TIME: found(lambda: _law_time(given, grip)),
     }
 

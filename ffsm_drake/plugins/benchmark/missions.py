@@ -47,7 +47,7 @@ from ffsm_drake.scenario import (
 )
 from ffsm_drake.scenario.strict_yaml import read_yaml
 from ffsm_drake.spacecraft.free_floating import free_floating
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import controller_names
 from ffsm_drake.systems.plan import load_plan
 from ffsm_drake.systems.reference import make_motion
@@ -389,7 +389,8 @@ def bounds_of(mission: Mission) -> dict[str, float]:
     one.
     """
     scenario, bounds = mission.scenario, dict[str, float]()
-    model, start = make_nominal_plant(scenario), _at_start(scenario)
+    flown = make_mission(scenario)
+    model, start = flown.craft.nominal(), _at_start(scenario)
     least = least_times(
         scenario,
         model,
@@ -408,10 +409,10 @@ def bounds_of(mission: Mission) -> dict[str, float]:
 
 def _planned_time(scenario: Scenario) -> float:
     """Time of the planned motion, s; of an optimal one without what its small rates take."""
-    coordinates = make_nominal_plant(scenario).coordinates
+    mission = make_mission(scenario)
     if scenario.reference.kind == "optimal":
-        return load_plan(scenario.reference.plan or "", coordinates).duration
-    motion = make_motion(scenario, coordinates)
+        return load_plan(scenario.reference.plan or "", mission.craft.coordinates).duration
+    motion = make_motion(mission)
     return float(motion.end - motion.begin)
 
 
@@ -426,14 +427,14 @@ class _Start:
 
 
 def _at_start(scenario: Scenario) -> _Start:
-    model = make_nominal_plant(scenario)
-    coordinates = model.coordinates
+    mission = make_mission(scenario)
+    model = mission.craft.nominal()
     if scenario.capture is not None:
-        contact = planned_contact(scenario, model)
+        contact = planned_contact(mission, model)
         q, spin, linear = contact.q, contact.spin_after, contact.momentum_after[3:]
         base = free_floating(model, q)
     else:
-        motion = make_motion(scenario, coordinates)
+        motion = make_motion(mission)
         q, v, _ = motion.evaluate(0.0)
         base = free_floating(model, q)
         spin, linear = base.spin_map @ v, base.momentum(v)[3:]

@@ -33,8 +33,8 @@ from ffsm_drake.runs.limits import CLEARANCE, distances_in, limits_left, not_mea
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import METRICS, drift_metrics, frame_figures
 from ffsm_drake.runs.record import software_versions
-from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.clearance import in_words
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.parts.metrics import Metric
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.reference import timed
@@ -271,6 +271,7 @@ class Evaluator:
         self._columns = (*metrics_of(spec), *self._predictions, *engine_columns(spec))
         self._signals = signals_of(spec)
         self._kept = Kept()
+        self._last: tuple[int, Mission] | None = None  # of a case, and its index
         self._software = " ".join(
             f"{name} {version}" for name, version in software_versions().items()
         )
@@ -309,7 +310,7 @@ class Evaluator:
         logs = {place: found for place, found in results.items() if isinstance(found, RunLog)}
         foreseen = dict[int, Foreseen]()
         if self._spec.predictions:
-            predictions = predict_many([log.scenario for log in logs.values()])
+            predictions = predict_many([log.mission for log in logs.values()])
             foreseen = dict(zip(logs, predictions, strict=True))
         rows = []
         for place, (case, _) in enumerate(batch):
@@ -329,26 +330,32 @@ class Evaluator:
 
         The scenarios of a case share all but the controller.
         """
-        scenarios, results = dict[int, Scenario](), dict[int, RunLog | Exception]()
-        cases = dict[int, Scenario]()
+        missions, results = dict[int, Mission](), dict[int, RunLog | Exception]()
         for place, (case, controller) in enumerate(batch):
             try:
-                if case.index not in cases:
-                    scenario = timed(scenario_of(self._spec, case, controller))
-                    if scenario.approach is not None:  # one that is refused would stop all
-                        SERVICES.load("planned_approach", "capture.approach")(scenario)
-                    cases[case.index] = scenario
-                scenarios[place] = with_controller(cases[case.index], controller)
+                mission = self._mission_of(case, controller)
+                missions[place] = mission.of(with_controller(mission.scenario, controller))
             except Exception as error:
                 results[place] = error
-        places = list(scenarios)
+        places = list(missions)
         found = run_many(
-            list(scenarios.values()),
+            list(missions.values()),
             engine=self._spec.engine,
             signals=self._signals,
             kept=self._kept,
         )
         return results | {places[at]: result for at, result in found}
+
+    def _mission_of(self, case: Case, controller: str) -> Mission:
+        """Return the mission of a case, with any of its controllers."""
+        if self._last is None or self._last[0] != case.index:
+            scenario = scenario_of(self._spec, case, controller)
+            before = None if self._last is None else self._last[1]
+            mission = timed(before.of(scenario) if before else Mission(scenario))
+            if mission.scenario.approach is not None:  # one that is refused would stop all
+                SERVICES.load("planned_approach", "capture.approach")(mission)
+            self._last = case.index, mission
+        return self._last[1]
 
     def _predicted(self, found: Foreseen, message: str) -> Row:
         """Return the predictions; if there are none, the message gives the reason."""
@@ -365,7 +372,7 @@ class Evaluator:
             return {}
         row: Row = {ENGINE: log.engine}
         if case.index % _COMPARED == 0 and not log.engine.startswith(DRAKE):
-            other = self._kept.rollout(log.scenario).run(log.scenario)
+            other = self._kept.rollout(log.mission).run(log.mission)
             count = min(log.time.size, other.time.size)
             difference = np.abs(log.error[:count] - other.error[:count]).max()
             outcome = evaluate_run(self._spec, other)["outcome"]

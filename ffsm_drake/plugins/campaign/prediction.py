@@ -25,7 +25,7 @@ from ffsm_drake.plugins.design.stability.load import predicted_load
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.plugins.design.stability.rehearsal import shares_diverged
 from ffsm_drake.runs.batches import all_but_controller
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.reference import timed
 
 POINTS, FEWEST_POINTS = 11, 4  # along each axis; few where there are few cases to compare with
@@ -33,7 +33,7 @@ _UNKNOWN = -1.0  # no predictor is negative
 REFINEMENT, LEAST_REFINEMENT = 3, 2  # finer by this near the boundary; the latter with few points
 
 
-def predict(scenario: Scenario) -> tuple[float, ...]:
+def predict(mission: Mission) -> tuple[float, ...]:
     """Predictors of settling; all below 1: the run is predicted to settle.
 
     The first two are spectral radii of the wired closed loop, in the posture of the planned motion
@@ -44,21 +44,22 @@ def predict(scenario: Scenario) -> tuple[float, ...]:
     Raises ModelError, ScenarioError or BlockError: a value cannot be used, or a block cannot be
     linearised.
     """
-    (found,) = predict_many([scenario])
+    (found,) = predict_many([mission])
     if isinstance(found, Exception):
         raise found
     return found
 
 
-def predict_many(scenarios: Sequence[Scenario]) -> list[tuple[float, ...] | Exception]:
-    """``predict`` of several scenarios, or its error."""
+def predict_many(missions: Sequence[Mission]) -> list[tuple[float, ...] | Exception]:
+    """``predict`` of several missions, or its error."""
     found: list[tuple[float, ...] | Exception] = []
     cases = list[int]()  # that are rehearsed
     # for all controllers of a case: its planned dynamics, and the posture that is linearised
     planned = dict[Any, tuple[PlannedDynamics, float]]()
-    for index, scenario in enumerate(scenarios):
+    for index, mission in enumerate(missions):
+        scenario = mission.scenario
         try:
-            with Linearizer(scenario) as linearizer:
+            with Linearizer(mission) as linearizer:
                 if (same := all_but_controller(scenario)) not in planned:
                     planned[same] = linearizer.planned, most_overestimated(linearizer.planned)
                 linearizer.planned, time = planned[same]
@@ -73,7 +74,7 @@ def predict_many(scenarios: Sequence[Scenario]) -> list[tuple[float, ...] | Exce
             found.append(tuple(own))
         except Exception as error:
             found.append(error)
-    shares = shares_diverged([scenarios[index] for index in cases], seeds=1)
+    shares = shares_diverged([missions[index] for index in cases], seeds=1)
     for index, share in zip(cases, shares, strict=True):
         radii = found[index]
         assert isinstance(radii, tuple)
@@ -81,9 +82,9 @@ def predict_many(scenarios: Sequence[Scenario]) -> list[tuple[float, ...] | Exce
     return found
 
 
-def expected_radius(scenario: Scenario) -> float:
+def expected_radius(mission: Mission) -> float:
     """Return the second value of ``predict`` alone. Raises the same errors."""
-    with Linearizer(scenario) as linearizer:
+    with Linearizer(mission) as linearizer:
         return _radii(linearizer, most_overestimated(linearizer.planned))[1]
 
 
@@ -170,7 +171,7 @@ def predict_map(
         drawn = {**fixed, axes[0]: float(x[j]), axes[1]: float(y[i])}
         try:
             case = make_case(spec, 0, {name: drawn[name] for name in spec.distributions})
-            return max(predict(timed(scenario_of(spec, case, controller))))
+            return max(predict(timed(Mission(scenario_of(spec, case, controller)))))
         except LimitError:
             return math.inf
         except (FfsmError, ArithmeticError, ValueError):

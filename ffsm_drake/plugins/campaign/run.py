@@ -40,6 +40,7 @@ from ffsm_drake.runs.engine import find_engine
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.simulate import make_record
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.reference import timed
 
 # Memory at which a process is replaced: Drake keeps every diagram with a Python system alive, some
@@ -325,8 +326,8 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
     try:
         name = f"case {case.index} with {controller}"
         with step(name), guarded, time_limit(store.spec.time_limit):
-            scenario = timed(scenario_of(store.spec, case, controller))
-            ((_, found),) = run_many([scenario], engine=store.spec.engine)
+            mission = timed(Mission(scenario_of(store.spec, case, controller)))
+            ((_, found),) = run_many([mission], engine=store.spec.engine)
         if isinstance(found, Exception):
             raise found
         log = found

@@ -9,17 +9,17 @@ from collections.abc import Callable
 import numpy as np
 
 from ffsm_drake.common.errors import LimitError
-from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
 from ffsm_drake.plugins.capture.phases.own import with_phases
 from ffsm_drake.runs.limits import not_measured
-from ffsm_drake.scenario import EMPTY, Posture, Scenario, planned_part
+from ffsm_drake.scenario import EMPTY, Posture, Scenario
 from ffsm_drake.scenario.capture import Approach
 from ffsm_drake.spacecraft.clearance import shapes_of
 from ffsm_drake.spacecraft.grasp import Contact
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
-from ffsm_drake.spacecraft.plant import files_read, posture_of
+from ffsm_drake.spacecraft.mission import Mission, planned
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.spacecraft.plant import posture_of
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.limits import DIRECTIONS, actuation_limit
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -42,39 +42,37 @@ class Margins:
     share: float  # largest share of the limits of force, with an empty gripper
 
 
-def approach_posture(scenario: Scenario) -> Posture:
-    """Where a scenario's approach begins.
+def approach_posture(mission: Mission) -> Posture:
+    """Where the approach of a mission begins.
 
     Raises LimitError: ``capture.approach.start`` is "clear", and no place tried is.
     """
-    return given_approach(scenario).posture
+    return given_approach(mission).posture
 
 
-def given_approach(scenario: Scenario) -> Approach:
-    """A scenario's approach with its start given; errors as ``approach_posture``."""
-    approach = scenario.approach
+def given_approach(mission: Mission) -> Approach:
+    """The approach of a mission with its start given; errors as ``approach_posture``."""
+    approach = mission.scenario.approach
     assert approach is not None
     if approach.start == "given":
         return approach
-    # the laws of a campaign share it
-    posture = _clear_start(planned_part(scenario))
-    return dataclasses.replace(approach, posture=posture, start="given")
+    return dataclasses.replace(approach, posture=_clear_start(mission), start="given")
 
 
-@memoized(maxsize=128, files=files_read)  # a campaign asks for a batch before it runs it
+@planned
 @step("searching for a start without contact")
-def _clear_start(scenario: Scenario) -> Posture:
-    approach = scenario.approach
+def _clear_start(mission: Mission) -> Posture:
+    scenario, approach = mission.scenario, mission.scenario.approach
     assert approach is not None
-    model = make_nominal_plant(scenario)
-    contact = planned_contact(scenario, model)
+    model = mission.craft.nominal()
+    contact = planned_contact(mission, model)
     X_WP, path = target_path(scenario, model, contact)
     end = np.array(scenario.initial_posture.base_position)
     for line in not_measured(scenario):
         raise LimitError("capture.approach.start", line, limit="clearance")
     best, kept = -np.inf, approach.posture
     needed = scenario.clearance + approach.margin
-    wide, share_of = max(_WIDE, needed), shares_of(scenario)
+    wide, share_of = max(_WIDE, needed), shares_of(mission)
     for joints, direction, length in itertools.product(
         (kept.joints, scenario.initial_posture.joints),
         outwards(end - X_WP.translation()),
@@ -85,7 +83,7 @@ def _clear_start(scenario: Scenario) -> Posture:
         motion = approach_motion(scenario, model, contact, posture)
         # one that is nearer at any instant is neither the best nor returned
         margins = functools.partial(
-            margins_of, scenario, motion, path[:, :7], most=_MOST, share_of=share_of,
+            margins_of, mission, motion, path[:, :7], most=_MOST, share_of=share_of,
             enough=min(best, math.nextafter(wide, -math.inf)),
         )  # fmt: skip
         found = margins(instants=_INSTANTS)
@@ -145,18 +143,18 @@ class Backwards(PlannedMotion):
         return rows
 
 
-def planned_approach(scenario: Scenario) -> PlannedMotion:
-    """The motion of a scenario up to the grasp; errors as ``approach_posture``, ``with_phases``."""
-    model = make_nominal_plant(scenario)
-    motion = approach_motion(
-        scenario, model, planned_contact(scenario, model), approach_posture(scenario)
-    )
+@planned
+def planned_approach(mission: Mission) -> PlannedMotion:
+    """The motion of a mission up to the grasp; errors as ``approach_posture``, ``with_phases``."""
+    scenario, model = mission.scenario, mission.craft.nominal()
+    contact, posture = planned_contact(mission, model), approach_posture(mission)
+    motion = approach_motion(scenario, model, contact, posture)
     approach = Backwards(motion, sample_time=scenario.sample_time)
-    return with_phases(scenario, approach) if scenario.blocks.phases else approach
+    return with_phases(mission, approach) if scenario.blocks.phases else approach
 
 
 def margins_of(
-    scenario: Scenario,
+    mission: Mission,
     backwards: PlannedMotion,
     target: np.ndarray,
     *,
@@ -169,9 +167,10 @@ def margins_of(
     the n control samples before it. Beyond ``most`` of the limits no distance is measured, and none
     after one that is as small as ``enough`` (m). ``share_of``: see ``shares_of``; default: made.
     """
+    scenario = mission.scenario
     samples = np.unique(np.linspace(0, len(target) - 1, instants).round().astype(int))
     rows = backwards.rows(scenario.sample_time * (len(target) - samples))
-    share = (share_of or shares_of(scenario))(rows)
+    share = (share_of or shares_of(mission))(rows)
     if share > most:
         return Margins(distance=-np.inf, share=share)
     shapes = shapes_of(scenario, apart=True)
@@ -183,13 +182,13 @@ def margins_of(
     return Margins(distance=nearest.distance, share=share)
 
 
-def shares_of(scenario: Scenario) -> Callable[[np.ndarray], float]:
+def shares_of(mission: Mission) -> Callable[[np.ndarray], float]:
     """A function that gives the largest share of the limits of force that a motion [q_d; v_d;
     dv_d/dt] (n, nq + 2 nv) takes with an empty gripper; the same in either direction but for
     damping.
     """
-    model = make_nominal_plant(scenario, EMPTY)
-    limit = actuation_limit(scenario, model.coordinates).upper
+    model = mission.craft.nominal(EMPTY)
+    limit = actuation_limit(mission.scenario, model.coordinates).upper
     return functools.partial(force_share, model, limit=limit)
 
 
@@ -203,20 +202,21 @@ def force_share(model: PlantModel, rows: np.ndarray, limit: np.ndarray) -> float
 
 
 def gentle_duration(
-    scenario: Scenario, motion_in: Callable[[float], PlannedMotion], shortest: float
+    mission: Mission, motion_in: Callable[[float], PlannedMotion], shortest: float
 ) -> float:
     """The first of a shortest duration (s), 1.15 times, 1.15^2 times as long, and so on, in whole
     samples, whose motion takes at most half of the limits of force with an empty gripper; else the
     longest tried.
     """
+    period = mission.scenario.sample_time
     while True:
-        samples = math.ceil(shortest / scenario.sample_time - 1e-9)
-        duration = samples * scenario.sample_time
-        if duration > _LONGEST or is_gentle(scenario, motion_in(duration)):
+        samples = math.ceil(shortest / period - 1e-9)
+        duration = samples * period
+        if duration > _LONGEST or is_gentle(mission, motion_in(duration)):
             return duration
         shortest *= _GROWTH
 
 
-def is_gentle(scenario: Scenario, motion: PlannedMotion) -> bool:
+def is_gentle(mission: Mission, motion: PlannedMotion) -> bool:
     """Whether a motion takes at most half of the limits of force with an empty gripper."""
-    return shares_of(scenario)(motion.rows(np.linspace(0.0, motion.end, _INSTANTS))) <= _MOST
+    return shares_of(mission)(motion.rows(np.linspace(0.0, motion.end, _INSTANTS))) <= _MOST

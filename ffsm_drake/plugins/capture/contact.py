@@ -19,6 +19,7 @@ from ffsm_drake.scenario.contacts import closing_contacts
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.grasp import CompliantGrasp, Contact, shift_moment
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame, hand_frame
@@ -202,15 +203,15 @@ def _compliant(situation: dict[str, Any], gripper: Compliance, p_PE: np.ndarray)
     )
 
 
-def planned_contact(scenario: Scenario, model: PlantModel) -> Contact:
-    """A scenario's grasp: in ``initial_posture``, at the chosen rates, with ``model``'s payload.
+def planned_contact(mission: Mission, model: PlantModel) -> Contact:
+    """The grasp of a mission in ``initial_posture``, at the chosen rates, with ``model``'s payload.
 
     Raises:
       ModelError: the target is not a body of its own.
       ScenarioError: a value is given for an unknown coordinate.
     """
-    capture = scenario.capture or Capture()
-    q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
+    scenario, capture = mission.scenario, mission.scenario.capture or Capture()
+    q = configuration(model.coordinates, scenario.initial_posture, key="initial_posture")
     whole = model.split.whole_positions(q)
     if len(scenario.contacts) > 1:
         whole = closed_chain(scenario, model, whole)[0]

@@ -21,7 +21,8 @@ from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.spacecraft.coordinates import Coordinates, halves
 from ffsm_drake.spacecraft.inertia import SIX
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant, make_nominal_plant
+from ffsm_drake.spacecraft.mission import Mission
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, hand_frame
 from ffsm_drake.systems.parts.signals import STORED_MOMENTUM
 
@@ -29,15 +30,15 @@ Target = tuple[RigidTransform, np.ndarray]  # X_WP and [w_WP; v_WP] (6) of a tar
 
 
 class Aim:
-    """The planned grasp of a scenario."""
+    """The planned grasp of a mission."""
 
-    def __init__(self, scenario: Scenario, sample: int | None = None) -> None:
+    def __init__(self, mission: Mission, sample: int | None = None) -> None:
         """Args: sample of the grasp; default: that of the scenario."""
-        self.scenario = scenario
+        self.mission, scenario = mission, mission.scenario
         first = round(scenario.grasp_time / scenario.sample_time)
         self.sample = first if sample is None else sample
-        model = make_nominal_plant(scenario)
-        planned = planned_contact(scenario, model)
+        model = mission.craft.nominal()
+        planned = planned_contact(mission, model)
         # [q; v] of the servicer after it
         self.reference = np.concatenate([planned.q, planned.grasp.velocity])
         # the target where it is to be met, and its own motion (n, 13) at the samples before
@@ -49,15 +50,16 @@ class Aim:
 
     def start(self, model: PlantModel) -> np.ndarray:
         """The plant's own [q; v] of the servicer where the run starts."""
+        scenario = self.mission.scenario
         velocity = model.coordinates.vector(
-            self.scenario.initial_velocity, key="initial_velocity", default=0.0
+            scenario.initial_velocity, key="initial_velocity", default=0.0
         )
-        if self.scenario.blocks.phases:
-            position, planned, _ = planned_approach(self.scenario).evaluate(0.0)
+        if scenario.blocks.phases:
+            position, planned, _ = planned_approach(self.mission).evaluate(0.0)
             velocity += planned
         else:
-            posture = approach_posture(self.scenario)
-            position = configuration(model.plant, posture, key="capture.approach.posture")
+            posture = approach_posture(self.mission)
+            position = configuration(model.coordinates, posture, key="capture.approach.posture")
         return model.split.whole(np.concatenate([position, velocity]))
 
 
@@ -209,8 +211,8 @@ def seen_from(properties: MassProperties, X_QP: RigidTransform) -> MassPropertie
 
 def grasped_at_start(log: RunLog) -> RunLog:
     """The log of a run with its planned grasp, with which it begins."""
-    model = make_flexible_plant(log.scenario)
-    contact = planned_contact(log.scenario, model)
+    model = log.mission.craft.flexible()
+    contact = planned_contact(log.mission, model)
     mismatch = mismatch_of(
         log.scenario, model, contact.q, contact.velocity, contact.target_velocity
     )

@@ -20,7 +20,7 @@ from ffsm_drake.plugins.capture.free_body import Target
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix
 from ffsm_drake.scenario.capture import Compliance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, halves
-from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.spacecraft.plant import hand_frame
 from ffsm_drake.systems.parts.metrics import Metric
@@ -164,7 +164,7 @@ class Closing(Sampled):
         if capture is None or capture.closing is None:
             raise ValueError("capture.closing: there is none")
         closing, envelope = capture.closing, capture.envelope
-        model = make_flexible_plant(scenario, setup.grip)
+        model = setup.craft.flexible(setup.grip)
         hand = hand_frame(model.plant, scenario.model)
         pose = payload_body(scenario, model).body_frame().CalcPose(model.context, hand).inverse()
         known = model.split.known_velocities(np.arange(model.plant.num_velocities()))

@@ -26,8 +26,8 @@ from ffsm_drake.plugins.capture.pictures import show_apart
 from ffsm_drake.plugins.capture.target_filter import Path
 from ffsm_drake.plugins.capture.tracked_target import drawn_path
 from ffsm_drake.runs.log import GraspLog, RunLog
-from ffsm_drake.runs.phases import Mission, Phase, PhasedRollout, PhaseKind, Show, Situation
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.runs.phases import Phase, PhasedRollout, PhaseKind, Phases, Show, Situation
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.registry import Factory
 
 
@@ -35,24 +35,25 @@ class MissionRollout(PhasedRollout):
     """A ``Rollout`` of a scenario with a capture."""
 
     @staticmethod
-    def show(scenario: Scenario) -> Show:
+    def show(mission: Mission) -> Show:
         """The spacecraft, and the target apart."""
-        return functools.partial(show_apart, Aim(scenario).path[:, :7])
+        return functools.partial(show_apart, Aim(mission).path[:, :7])
 
-    def mission(self, scenario: Scenario) -> Mission:
+    def phases(self, mission: Mission) -> Phases:
         """See PhasedRollout."""
-        return mission_of(scenario, self.held().blocks.get(CONTACTS))
+        return phases_of_capture(mission, self.held().blocks.get(CONTACTS))
 
 
-def mission_of(scenario: Scenario, hands: Any = None) -> Mission:
+def phases_of_capture(mission: Mission, hands: Any = None) -> Phases:
     """Return the phases of a capture, and what follows a target that was not captured.
 
-    Args: the scenario; the block of further hands that grasp with the gripper.
+    Args: the mission; the block of further hands that grasp with the gripper.
     """
+    scenario = mission.scenario
     if scenario.grasp_time == 0.0:
-        return Mission(kinds={"": Held()}, finish=lambda log, now: grasped_at_start(log))
-    chase = _chase(scenario)
-    kinds: dict[str, PhaseKind] = {**_up_to(chase.aim.sample - chase.closing, scenario, hands)}
+        return Phases(kinds={"": Held()}, finish=lambda log, now: grasped_at_start(log))
+    chase = _chase(mission)
+    kinds: dict[str, PhaseKind] = {**_up_to(chase.aim.sample - chase.closing, mission, hands)}
     if scenario.closing is None:
         kinds["met"] = Held()
     else:
@@ -60,15 +61,16 @@ def mission_of(scenario: Scenario, hands: Any = None) -> Mission:
         if retreat := chase.capture.retreat:
             kinds |= dict.fromkeys(("missed", "bounced", "slipped"), Retreat(retreat))
             kinds["seen"] = Again(retreat)
-    return Mission(kinds=kinds, own=chase, finish=_with_target)
+    return Phases(kinds=kinds, own=chase, finish=_with_target)
 
 
-def _up_to(contact: int, scenario: Scenario, hands: Any) -> Mapping[str, Approach]:
+def _up_to(contact: int, mission: Mission, hands: Any) -> Mapping[str, Approach]:
     """The scenario's own phases and the approach, up to the sample of the contact: neighbours
     with the same blocks share a loop.
     """
+    scenario = mission.scenario
     found, before, end = list[Approach](), dict[str, Factory](), 0.0
-    for name, phase in {**phases_before(scenario), "approach": Phase()}.items():
+    for name, phase in {**phases_before(mission), "approach": Phase()}.items():
         own = dict(phase.blocks)
         last = contact
         if name != "approach":
@@ -89,11 +91,11 @@ def _up_to(contact: int, scenario: Scenario, hands: Any) -> Mapping[str, Approac
     }
 
 
-def _chase(scenario: Scenario) -> Chase:
+def _chase(mission: Mission) -> Chase:
     """What a capture with an approach begins with."""
-    aim = Aim(scenario)
+    scenario, aim = mission.scenario, Aim(mission)
     if scenario.closing is None:
-        return Chase(scenario=scenario, aim=aim, path=aim.path)
+        return Chase(mission=mission, aim=aim, path=aim.path)
     last = aim.sample - 1
     path = np.vstack([aim.path[:last], free_motion(scenario, aim.path[last], last)])
     measured, expected = scenario.measured, None
@@ -104,7 +106,7 @@ def _chase(scenario: Scenario) -> Chase:
         motion, expected = drawn_path(scenario, measured.filter, path[0])
         path = free_motion(scenario, motion, 0)
     return Chase(
-        scenario=scenario,
+        mission=mission,
         aim=aim,
         path=path,
         known=known,

@@ -9,8 +9,8 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.plugins.capture.approach import approach_posture, force_share
-from ffsm_drake.scenario import Reference, Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.scenario import Reference
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import posture_of
 from ffsm_drake.systems.blend import Blend
@@ -244,7 +244,7 @@ def supervising(setup: BlockSetup, *, begin: float, waits: bool) -> Supervising:
         end_time=np.array(settings.end_time),
         sample_time=setup.sample_time,
         grasp_time=begin + scenario.grasp_time,
-        end=begin + (make_motion(scenario, coordinates, setup.grip).end if rest is None else rest),
+        end=begin + (make_motion(setup.mission, setup.grip).end if rest is None else rest),
         is_empty=not setup.grip.holds,
     )
 
@@ -254,8 +254,7 @@ class Supervisor(Sampled):
     """The supervisor with its plans."""
 
     block: Supervising
-    scenario: Scenario
-    coordinates: Coordinates
+    mission: Mission
     optional: ClassVar = Supervising.optional
 
     @property
@@ -293,11 +292,12 @@ class Supervisor(Sampled):
         """The motion of a new plan [begin; duration; retreats; q; v] from a state to rest, as a
         function of the time since its begin.
         """
-        scenario, coordinates, duration = self.scenario, self.coordinates, float(plan[1])
+        scenario, coordinates = self.mission.scenario, self.mission.craft.coordinates
+        duration = float(plan[1])
         q, v = np.split(plan[3:].copy(), [len(coordinates.position_names)])
         goal = None if scenario.reference.goal == "stop" else scenario.target_posture
         if plan[2] and scenario.grasp_time > 0.0:
-            goal = approach_posture(scenario)
+            goal = approach_posture(self.mission)
         return PolynomialMotion(
             coordinates=coordinates,
             start=posture_of(q, coordinates),
@@ -316,7 +316,7 @@ def plan_anew(
     share of the limits: None, or with an empty gripper the plan with the least use of them, because
     rate damping would not hold joints with small inertia against the disturbance.
     """
-    block, settings = supervisor.block, supervisor.scenario.supervisor
+    block, settings = supervisor.block, supervisor.mission.scenario.supervisor
     assert settings is not None
     most = settings.plan_share * settings.retry_factor**plans * block.limit
     retreats, duration = bool(block.modes(np.array(time), np.zeros(3))[1]), _SHORTEST

@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.common.so3 import in_body_axes, matrix_of, quaternion_rate
 from ffsm_drake.plugins.capture.contact import planned_contact
-from ffsm_drake.scenario import Capture, Scenario, planned_part
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_POSITIONS,
@@ -26,8 +25,8 @@ from ffsm_drake.spacecraft.coordinates import (
 )
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, tightest
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
-from ffsm_drake.spacecraft.plant import files_read
+from ffsm_drake.spacecraft.mission import Mission, planned
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.limits import joint_limits, limits_of
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import base_actuators
@@ -91,8 +90,9 @@ class MomentumBudget:
     used_up: dict[str, float | None]
 
 
-def momentum_budget(scenario: Scenario) -> MomentumBudget | None:
-    """The momentum budget of a scenario after the grasp; None without a capture.
+@planned
+def momentum_budget(mission: Mission) -> MomentumBudget | None:
+    """The momentum budget of a mission after the grasp; None without a capture.
 
     The arm's time is the duration of a motion with all of the angular momentum in the arm at every
     instant, at rates chosen to delay the first joint limit; another motion may last longer. With a
@@ -101,36 +101,29 @@ def momentum_budget(scenario: Scenario) -> MomentumBudget | None:
     Raises:
       ModelError, ScenarioError: see ``make_motion``.
     """
+    scenario, model = mission.scenario, mission.craft.nominal()
     if scenario.capture is None:
         return None
-    return _budget_of(planned_part(scenario))
-
-
-# a run's check, its record and its report ask for the same
-@memoized(maxsize=16, files=files_read)
-def _budget_of(scenario: Scenario) -> MomentumBudget:
-    """The budget of a scenario."""
-    accepted = (scenario.capture or Capture()).accepted_drift or {}
-    model = make_nominal_plant(scenario)
-    contact = planned_contact(scenario, model)
+    accepted = scenario.capture.accepted_drift or {}
+    contact = planned_contact(mission, model)
     name, storage = _storage(scenario)
     linear, of_bodies = contact.momentum_after[3:], contact.spin_after
     angular = of_bodies  # including stored momentum
     if storage is not None:
         angular = of_bodies + matrix_of(contact.q[:4]) @ storage.initial
-    times, q, spin = _along(scenario, model, contact.q)
+    times, q, spin = _along(mission, model, contact.q)
     end = free_floating(model, q[-1])
     mass = float(end.mass_matrix[3, 3])
     stored = on_arm = None
     turning = np.zeros(3)  # the part of ``angular`` that turns the stack
     if "base_rotation" in scenario.undriven:
-        on_arm = _arm_budget(scenario, model, contact.q, angular)
+        on_arm = _arm_budget(mission, model, contact.q, angular)
         turning = angular
     elif storage is not None and scenario.undriven:
         stored = _storage_budget(name, storage, q, angular - spin, angular)
         if stored.share > 1.0:
             turning = (1.0 - stored.capacity / float(np.linalg.norm(angular))) * angular
-    limits = tightest(limits_of(scenario, model.plant), FORCE).upper
+    limits = tightest(limits_of(mission), FORCE).upper
     least = {
         group: float((np.abs(momentum) / limits[model.coordinates.groups[group]]).max())
         for group, momentum in (("base_rotation", of_bodies), ("base_position", linear))
@@ -163,14 +156,15 @@ def _budget_of(scenario: Scenario) -> MomentumBudget:
 
 
 def _along(
-    scenario: Scenario, model: PlantModel, q: np.ndarray
+    mission: Mission, model: PlantModel, q: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times (n,), configurations (n, nq) and angular momentum of the bodies (n, 3), to the end of
     motion and run; without a known motion at the posture (nq) of the grasp alone.
     """
+    scenario = mission.scenario
     if not scenario.undriven or scenario.blocks.reference is not None:
         return np.zeros(1), q[None], np.zeros((1, 3))
-    motion = make_motion(scenario, model.coordinates)
+    motion = make_motion(mission)
     parts = max(1.0, scenario.duration / motion.end)
     times = np.linspace(0.0, parts * motion.end, math.ceil(parts * _INSTANTS))
     positions, v, _ = motion.evaluate(times)
@@ -208,10 +202,10 @@ def _storage_budget(
 
 
 def _arm_budget(
-    scenario: Scenario, model: PlantModel, q: np.ndarray, angular: np.ndarray
+    mission: Mission, model: PlantModel, q: np.ndarray, angular: np.ndarray
 ) -> ArmBudget:
     """Turn the joints from a posture (nq) on so that they hold all of an angular momentum (3)."""
-    limits = joint_limits(scenario, model.plant)
+    scenario, limits = mission.scenario, joint_limits(mission)
     (_, rate), (lower, upper) = (tightest(limits, each).joints for each in (RATE, POSITION))
     capacity = _largest_held(free_floating(model, q), angular, rate)
     try:

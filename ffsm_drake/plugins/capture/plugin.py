@@ -10,7 +10,7 @@ PLUGIN = Plugin(
         },
         "phases": {"hold": "capture.phases.hold:hold"},
         "services": {
-            "capture_mission": "capture.mission:mission_of",
+            "capture_mission": "capture.mission:phases_of_capture",
             "capture_rollout": "capture.mission:MissionRollout",
             "grasped_at_start": "capture.grasping:grasped_at_start",
             "grasp_lines": "capture.tables:grasp_lines",

@@ -74,7 +74,7 @@ class SupervisorPart(Part):
     def supervisor(self, setup: BlockSetup) -> "Supervisor":
         """Return what the block does. Raises ScenarioError: no force has a limit."""
         block = supervising(setup, begin=self._begin, waits=self._waits)
-        return Supervisor(block=block, scenario=setup.scenario, coordinates=setup.coordinates)
+        return Supervisor(block=block, mission=setup.mission)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """The mode, and what ended the one before rate damping."""

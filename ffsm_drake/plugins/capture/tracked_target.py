@@ -75,7 +75,7 @@ class TrackedTarget(Part):
 
     def build(self, setup: BlockSetup) -> Any:
         """The block, whose Drake system is made around it."""
-        own = self.motion or make_motion(setup.scenario, setup.coordinates, setup.grip)
+        own = self.motion or make_motion(setup.mission, setup.grip)
         return TrackedReference(part=self, motion=own)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import System
 
-from ffsm_drake.common.memo import content_of
 from ffsm_drake.plugins.compiled.blocks import kept_at, phases_at, row, sampled_of
 from ffsm_drake.plugins.compiled.kinds import kind_of
 from ffsm_drake.plugins.compiled.noise import Noise, noise_of
@@ -20,8 +19,7 @@ from ffsm_drake.plugins.compiled.schemes import steps_of
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.nominal import Carrier, make_flexible_plant, make_nominal_plant
-from ffsm_drake.spacecraft.plant import files_read
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.start import state_at_start
 from ffsm_drake.systems.controllers import controller_names, make_controller
 from ffsm_drake.systems.disturbance import sines_of
@@ -41,7 +39,7 @@ class Case:
 
     def __init__(
         self,
-        scenario: Scenario,
+        mission: Mission,
         grip: Grip = HELD,
         *,
         further: int = 0,
@@ -53,22 +51,22 @@ class Case:
         noise: Noise | None = None,
     ) -> None:
         """Args:
-        scenario: the scenario.
+        mission: the mission.
         grip: what holds the target.
         further: samples after its end of which rows are known.
         first: sample of the run at which a phase begins.
         last: the sample after it; None: it lasts to the end.
-        motion: of the phase; None: from the scenario.
+        motion: of the phase; None: of the mission.
         blocks: factories of blocks in place of the scenario's.
         joint_force: see ``add_closed_loop``.
         noise: of the run, if it is known.
 
         Raises NotCovered.
         """
-        self.scenario, self._further = scenario, further
+        self.mission, self._further = mission, further
+        self.scenario = scenario = mission.scenario
         self._given_motion, self._given_noise = motion, noise
-        self.true = make_flexible_plant(scenario, grip)
-        self.nominal = make_nominal_plant(scenario, grip)
+        self.true, self.nominal = mission.craft.flexible(grip), mission.craft.nominal(grip)
         self.coordinates: Coordinates = self.nominal.coordinates
         self.samples = scenario.num_control_periods + 1 + further
         self.window = slice(first, self.samples if last is None else last + 1)
@@ -76,13 +74,8 @@ class Case:
         self.runs = dict[str, Any]()  # those with a law of this package, by controller
         self._errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
         self._drift = self._errors.drift()
-        plain = BlockSetup(
-            name="",
-            scenario=settle_faults(scenario, self.coordinates),
-            nominal=self.nominal,
-            settings={},
-            split=self.true.split,
-        )
+        settled = mission.of(settle_faults(scenario, self.coordinates))
+        plain = BlockSetup(name="", mission=settled, nominal=self.nominal, settings={})
         reader_of(self.true.plant)  # refuses an unknown joint before a block is made
         self.made = ScenarioBlocks(plain, self._errors, blocks)
         self.parts = self.made.parts
@@ -145,7 +138,7 @@ class Case:
     @functools.cached_property
     def states(self) -> dict[str, np.ndarray]:
         """What a run begins with but the memory of its law, by the names of ``Blocks.states``."""
-        return self.states_at(state_at_start(self.scenario, self.true))
+        return self.states_at(state_at_start(self.mission, self.true))
 
     def states_at(self, state: np.ndarray) -> dict[str, np.ndarray]:
         """``states`` at the plant's own [q; v]."""
@@ -164,7 +157,7 @@ class Case:
             return block.with_payload(payload) if hasattr(block, "with_payload") else block
 
         other = copy.copy(self)
-        other.true = Carrier(self.scenario).loaded(self.true, payload)
+        other.true = self.mission.craft.loaded(self.true, payload)
         other.parts = frozen(
             {
                 kind: {name: loaded(each) for name, each in of.items()}
@@ -182,11 +175,11 @@ class Case:
 
     def with_seed(self, seed: int) -> "Case":
         """The same with another seed."""
-        scenario = dataclasses.replace(self.scenario, random_seed=seed)
-        if scenario.faults is not None:
-            return Case(scenario, self.nominal.grip, further=self._further)
+        mission = self.mission.flown_by(random_seed=seed)
+        if mission.scenario.faults is not None:
+            return Case(mission, self.nominal.grip, further=self._further)
         other = copy.copy(self)
-        other.scenario = scenario
+        other.mission, other.scenario = mission, mission.scenario
         vars(other).pop("noise", None)
         other.states = self.states | {"drift": other._drift_at_start()}
         return other
@@ -218,18 +211,18 @@ class Case:
         for name in ("planned", "noise"):
             vars(self).pop(name, None)
 
-    def controller_of(self, scenario: Scenario) -> System:
+    def controller_of(self, mission: Mission) -> System:
         """The controller of a run. Those after the first need no check of the gains of others,
         which are the same.
         """
+        scenario = mission.scenario
         name = scenario.controller
         if not (is_known := name in controller_names()) or not self._gains_are_checked:
-            made = make_controller(scenario, self.nominal)
+            made = make_controller(mission, self.nominal)
             self._gains_are_checked |= is_known
             return made
-        given = copy.copy(scenario)
-        given.controllers = {key: own for key, own in given.controllers.items() if key == name}
-        return make_controller(given, self.nominal)
+        own = {key: given for key, given in scenario.controllers.items() if key == name}
+        return make_controller(mission.flown_by(controllers=own), self.nominal)
 
     @functools.cached_property
     def kind(self) -> str:
@@ -245,7 +238,7 @@ class Case:
     @functools.cached_property
     def motion(self) -> PlannedMotion:
         """The reference."""
-        return self._given_motion or make_motion(self.scenario, self.coordinates, self.nominal.grip)
+        return self._given_motion or make_motion(self.mission, self.nominal.grip)
 
     @functools.cached_property
     def times(self) -> np.ndarray:
@@ -269,7 +262,7 @@ class Case:
             made["reference"] = np.hstack(plan)
             if watch and "abort_request" in followed:
                 made["request"] = followed["abort_request"]
-        if (path := make_frame_motion(self.scenario, self.nominal, self.motion)) is not None:
+        if (path := make_frame_motion(self.mission, self.nominal, self.motion)) is not None:
             made["frame"] = path.rows(times)
         return self._whole(made)
 
@@ -289,16 +282,18 @@ class Case:
 _cases: collections.OrderedDict[Any, tuple[Scenario, Case]] = collections.OrderedDict()
 
 
-def case_of(scenario: Scenario, grip: Grip = HELD) -> Case:
-    """Return what phases share whose scenarios differ in their controllers at most. The last ones
+def case_of(mission: Mission, grip: Grip = HELD) -> Case:
+    """Return what phases share whose missions differ in their controllers at most. The last ones
     without blocks of a user are kept, for the predictions of their runs.
     """
+    scenario = mission.scenario
     if scenario.blocks.choices():
-        return Case(scenario, grip)
-    shared = dataclasses.replace(scenario, controller="")
-    key = grip, scenario.random_seed, content_of(files_read(scenario))
-    if key not in _cases or _cases[key][0] != shared:
-        _cases[key] = shared, Case(scenario, grip)
+        return Case(mission, grip)
+    key, shared = (grip, scenario.random_seed), dataclasses.replace(scenario, controller="")
+    known, case = _cases.get(key, (None, None))
+    if case is None or known != shared or case.mission.plan is not mission.plan:
+        case = Case(mission, grip)
+        _cases[key] = shared, case
         if len(_cases) > _KEPT:
             _cases.popitem(last=False)
-    return _cases[key][1]
+    return case

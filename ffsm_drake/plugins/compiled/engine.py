@@ -1,7 +1,6 @@
 """The engine ``compiled``: whole runs in machine code, compared with Drake before the first use."""
 
 import collections
-import dataclasses
 import functools
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -27,6 +26,7 @@ from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import Rollout, make_rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import closing_times
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.faults import detects
 from ffsm_drake.systems.registry import Factory
@@ -72,12 +72,13 @@ class Compiled(Engine):
         if own:
             raise NotCovered(", ".join(sorted(own)))
 
-    def lanes(self, scenario: Scenario, factory: Factory, number: int, samples: int) -> Lanes:
+    def lanes(self, mission: Mission, factory: Factory, number: int, samples: int) -> Lanes:
         """See Engine."""
+        scenario = mission.scenario
         self.check(scenario)
         if scenario.approach is not None or scenario.contacts:
             raise NotCovered("capture.approach or contacts under actions")
-        trial = dataclasses.replace(scenario, duration=min(scenario.duration, _TRIAL))
+        trial = mission.flown_by(duration=min(scenario.duration, _TRIAL))
         run = Run(trial, law=factory)
         if scenario.supervisor is not None or detects(scenario):
             raise NotCovered("a supervisor or fault detection under actions")
@@ -89,29 +90,30 @@ class Compiled(Engine):
         if isinstance(found, NotCovered):
             raise found
         kernel = _kernel_of([run], alone=False)
-        run = Run(scenario, Case(scenario, further=samples), factory)
+        run = Run(mission, Case(mission, further=samples), factory)
         if why := kernel.blocks.called:
             run = run.with_called_law(why)
         return Lanes(kernel, run, number, samples)
 
     def run_all(
-        self, scenarios: Sequence[Scenario], signals: Collection[str] | None = None
+        self, missions: Sequence[Mission], signals: Collection[str] | None = None
     ) -> list[RunLog | NotCovered | None]:
         """See Engine."""
-        results: list[RunLog | NotCovered | None] = [None] * len(scenarios)
+        results: list[RunLog | NotCovered | None] = [None] * len(missions)
         cases, lanes = dict[Any, Case](), dict[int, Lane]()
-        alone = len(scenarios) == 1
-        for index, scenario in enumerate(scenarios):
+        alone = len(missions) == 1
+        for index, mission in enumerate(missions):
+            scenario = mission.scenario
             try:
                 self.check(scenario)
                 if scenario.approach is not None:
-                    lanes[index] = Lane(scenario)
+                    lanes[index] = Lane(mission)
                     continue
                 if (same := all_but_controller(scenario)) not in cases:
-                    cases[same] = case_of(scenario)
-                run = run_of(cases[same], scenario)
+                    cases[same] = case_of(mission)
+                run = run_of(cases[same], mission)
                 is_known = (run.key, alone) in _judged
-                lanes[index] = Lane(scenario, run, signals if is_known else None)
+                lanes[index] = Lane(mission, run, signals if is_known else None)
             except NotCovered as error:
                 results[index] = error
             except FfsmError:  # Drake's run shows it
@@ -131,7 +133,7 @@ _judged, _refused = set[Any](), dict[Any, NotCovered]()
 
 def results_of(runs: Sequence[Run], *, alone: bool = False) -> list[RunLog | NotCovered | None]:
     """The results of runs of one phase. Args: see ``Kernel``."""
-    lanes = [Lane(run.scenario, run) for run in runs]
+    lanes = [Lane(run.mission, run) for run in runs]
     _go(lanes, alone=alone)
     return [lane.result for lane in lanes]
 
@@ -190,7 +192,7 @@ def _kernel_of(runs: Sequence[Run], *, alone: bool) -> Kernel:
 def _compiled(run: Run, *, alone: bool) -> Kernel:
     """Trace and compile. Raises NotCovered."""
     held_to_drake(run.blocks.tree, plant=run.case.true.plant)
-    rollout = Rollout(run.scenario, blocks=run.given)
+    rollout = Rollout(run.mission, blocks=run.given)
     try:
         parts = rollout.loop.parts
         blocks = set(rollout.loop.blocks) - run.case.made.built
@@ -240,10 +242,10 @@ def _judge(lane: Lane, log: RunLog, nudged: Callable[[], RunLog | None]) -> bool
 
     Args: the run; its log; what runs it with other last bits.
     """
-    scenario, run = lane.scenario, lane.run
-    rollout = make_rollout(scenario, blocks=None if lane.own is None else lane.own.given)
+    mission, run = lane.mission, lane.run
+    rollout = make_rollout(mission, blocks=None if lane.own is None else lane.own.given)
     try:
-        expected = rollout.run(scenario)
+        expected = rollout.run(mission)
     finally:
         rollout.release()
     if (expected.outcome.status, expected.time.size) != (log.outcome.status, log.time.size):
@@ -260,7 +262,7 @@ def _judge(lane: Lane, log: RunLog, nudged: Callable[[], RunLog | None]) -> bool
             of_rounding = {} if other is None else _differences(other, log)
         if not difference <= _OF_LAST_BITS * of_rounding.get(name, np.inf):
             raise NotCovered(
-                f"{scenario.controller}: {name} differs from Drake's by {difference:.1e} of it"
+                f"{run.scenario.controller}: {name} differs from Drake's by {difference:.1e} of it"
             )
     return True
 

@@ -4,8 +4,6 @@ Between the samples, their law's memory can be read and written: an agent's acti
 agent sees. A lane has the same bits whatever the others do.
 """
 
-import dataclasses
-import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,7 +15,6 @@ from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.case import Case
 from ffsm_drake.plugins.compiled.kernel import Kernel, LaneState
 from ffsm_drake.plugins.compiled.logs import engine_of, laws_of, log_of, planned_signals
-from ffsm_drake.plugins.compiled.models import PosedModel, posed_model
 from ffsm_drake.plugins.compiled.run import Run
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, Outcome
 from ffsm_drake.runs.log import RunLog
@@ -143,12 +140,7 @@ class Lanes:
         outcome = Outcome(status=COMPLETED, time=end, message=f"completed {end:g} s")
         if diverged:
             outcome = self._divergence(lane)
-        log = log_of(run, series, outcome, time, self._kernel.parts)
-        return dataclasses.replace(log, make_model=lambda _: self._model)
-
-    @functools.cached_property
-    def _model(self) -> PosedModel:
-        return posed_model(self._run.scenario)
+        return log_of(run, series, outcome, time, self._kernel.parts)
 
     def _divergence(self, lane: int) -> Outcome:
         time = float(self.cell("seen_at")[lane])

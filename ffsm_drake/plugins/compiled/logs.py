@@ -7,7 +7,6 @@ import numpy as np
 from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.case import Case
 from ffsm_drake.plugins.compiled.kernel import Kernel
-from ffsm_drake.plugins.compiled.models import posed_model
 from ffsm_drake.plugins.compiled.run import Run
 from ffsm_drake.runs.ending import Outcome
 from ffsm_drake.runs.log import RunLog
@@ -43,10 +42,8 @@ def log_of(
 ) -> RunLog:
     """The log of a run, or of one with another seed."""
     return RunLog(
-        scenario=run.scenario,
+        mission=run.mission,
         outcome=outcome,
-        coordinates=run.coordinates,
-        split=run.case.true.split,
         tracks_frame=bool(getattr(run.law, "tracks_frame", False)),
         sliding_unit=str(run.law.sliding_unit),
         engine=engine_of(run),
@@ -54,5 +51,5 @@ def log_of(
         time=time,
         series=series,
         wall_time={},
-        make_model=posed_model,
+        own_model=run.posed_model,
     )

@@ -25,11 +25,12 @@ from ffsm_drake.plugins.compiled.run import Run
 from ffsm_drake.runs.ending import COMPLETED, Outcome
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.phases import Course, Mission, Phase, Stop
+from ffsm_drake.runs.phases import Course, Phase, Phases, Stop
 from ffsm_drake.runs.stage import Stage
-from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.scenario import MassProperties
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
+from ffsm_drake.spacecraft.mission import Mission
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.sampled import Arrays
 
 NUDGE = 1.0 + np.finfo(float).eps  # changes last bits
@@ -74,7 +75,7 @@ class LaneStage(Stage):
 
     def model(self) -> PlantModel:
         """See Stage."""
-        return make_flexible_plant(self.run.scenario, self.run.case.nominal.grip)
+        return self.run.mission.craft.flexible(self.run.case.nominal.grip)
 
     def block(self, name: str) -> Any:
         """See Stage."""
@@ -168,26 +169,26 @@ class Lane:
 
     def __init__(
         self,
-        scenario: Scenario,
+        mission: Mission,
         own: Run | None = None,
         signals: Collection[str] | None = None,
         *,
         nudge: float = 1.0,
     ) -> None:
         """Args:
-          scenario: the scenario.
+          mission: the mission.
           own: the run, unless it has an approach.
           signals: those that its log needs; None: all.
           nudge: factor of its first state.
 
         Raises the errors of a plan.
         """
-        self.scenario, self.own, self.signals = scenario, own, signals
+        self.mission, self.own, self.signals = mission, own, signals
         self._nudge, self._start = nudge, time.perf_counter()
-        mission = Mission(kinds={"": Stop()})
-        if scenario.grasps:
-            mission = SERVICES.load("capture_mission", "capture")(scenario)
-        self._course = Course(mission, scenario)
+        phases = Phases(kinds={"": Stop()})
+        if mission.scenario.grasps:
+            phases = SERVICES.load("capture_mission", "capture")(mission)
+        self._course = Course(phases, mission)
         # what a run that is lost has for its log
         is_detected = own is not None and own.case.made.detector is not None
         self.lost = NotCovered(_LEFT) if is_detected else None
@@ -198,7 +199,7 @@ class Lane:
 
     def nudged(self, nudge: float) -> "Lane":
         """The same with another first state."""
-        return Lane(self.scenario, self.own, nudge=nudge)
+        return Lane(self.mission, self.own, nudge=nudge)
 
     def plan(self) -> bool:
         """Go to the begin of the next phase, if there is one."""
@@ -231,7 +232,7 @@ class Lane:
         self.samples = (run.samples - 1 if last is None else last) - first
 
     def _run_of(self, phase: Phase) -> Run:
-        plan = phase.scenario or self.scenario
+        plan = phase.plan or self.mission
         case = Case(
             plan,
             phase.grip,

@@ -12,9 +12,8 @@ from ffsm_drake.plugins.equations.frames import quaternion_of
 from ffsm_drake.plugins.equations.tree import Place, Tree
 from ffsm_drake.plugins.tape.arrays import traced
 from ffsm_drake.plugins.tape.numbers import NotTraceable
-from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.free_floating import ReducedModel
-from ffsm_drake.spacecraft.nominal import PlantModel, make_flexible_plant
+from ffsm_drake.spacecraft.nominal import PlantModel
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -121,7 +120,6 @@ def traced_model(model: PlantModel, own: Any) -> TracedModel:
     )  # fmt: skip
 
 
-def posed_model(scenario: Scenario) -> PosedModel:
-    """Return ``make_flexible_plant`` of a scenario, for many configurations at once."""
-    made = make_flexible_plant(scenario)
+def posed_model(made: PlantModel) -> PosedModel:
+    """Return a model for many configurations at once."""
     return PosedModel(**{each.name: getattr(made, each.name) for each in dataclasses.fields(made)})

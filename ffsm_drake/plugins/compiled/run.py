@@ -8,9 +8,11 @@ import numpy as np
 
 from ffsm_drake.plugins.compiled.blocks import Blocks, row
 from ffsm_drake.plugins.compiled.case import Case
+from ffsm_drake.plugins.compiled.models import PosedModel, posed_model
 from ffsm_drake.plugins.compiled.parameters import parameters_of, rows_of
 from ffsm_drake.runs.engine import NotCovered
-from ffsm_drake.scenario import MassProperties, Scenario
+from ffsm_drake.scenario import MassProperties
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import SampledController, make_controller
 from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.registry import Factory
@@ -22,16 +24,17 @@ class Run:
     """One run: what its code depends on, and its numbers."""
 
     def __init__(
-        self, scenario: Scenario, case: Case | None = None, law: Factory | None = None
+        self, mission: Mission, case: Case | None = None, law: Factory | None = None
     ) -> None:
-        """Args: the scenario, what it shares with other runs, and the factory of another law."""
-        self.scenario, self.case = scenario, Case(scenario) if case is None else case
+        """Args: the mission, what it shares with other runs, and the factory of another law."""
+        self.mission, self.case = mission, Case(mission) if case is None else case
+        self.scenario = mission.scenario
         # blocks in place of the scenario's
         self.given: dict[str, Factory] = {} if law is None else {"controller": law}
         controller = (
-            self.case.controller_of(scenario)
+            self.case.controller_of(mission)
             if law is None
-            else make_controller(scenario, self.case.nominal, law)
+            else make_controller(mission, self.case.nominal, law)
         )
         if not isinstance(controller, SampledController):
             raise NotCovered("a controller that is a Drake system")
@@ -49,7 +52,7 @@ class Run:
             self._lay_out(*found)
             if self.case.made.detector is not None:
                 self._call_law("fault detection")
-        self.key = (self.case.kind, scenario.controller, type(self.law), *self.code)
+        self.key = (self.case.kind, self.scenario.controller, type(self.law), *self.code)
 
     def _lay_out(self, law: np.ndarray, constants: Any, planned: int, *, called: str = "") -> None:
         """Args: of the law: its parameters, constants, and planned numbers; see ``Blocks``."""
@@ -73,6 +76,11 @@ class Run:
     def states(self) -> dict[str, np.ndarray]:
         """What it begins with, by the names of ``Blocks.states``."""
         return self.case.states | {"memory": self._first_memory}
+
+    @functools.cached_property
+    def posed_model(self) -> PosedModel:
+        """The true plant, for many configurations at once."""
+        return posed_model(self.mission.craft.flexible())
 
     def carrying(self, payload: MassProperties) -> "Run":
         """See Case."""
@@ -112,15 +120,15 @@ class Run:
         return repr(self.code) if own else None
 
 
-def run_of(case: Case, scenario: Scenario) -> Run:
-    """Return the run of a case with the scenario's controller; one with a law of this package is
+def run_of(case: Case, mission: Mission) -> Run:
+    """Return the run of a case with the controller of a mission; one with a law of this package is
     kept. Raises what ``Run`` raises.
     """
-    name = scenario.controller
+    name = mission.scenario.controller
     if name in case.runs:
         found: Run = case.runs[name]
         return found
-    made = Run(scenario, case)
+    made = Run(mission, case)
     if is_shipped(made.law):
         case.runs[name] = made
     return made

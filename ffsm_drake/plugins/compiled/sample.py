@@ -19,7 +19,8 @@ from ffsm_drake.plugins.compiled.kernel import Step
 from ffsm_drake.plugins.compiled.parameters import rows_of
 from ffsm_drake.plugins.compiled.run import Run, run_of
 from ffsm_drake.runs.engine import NotCovered
-from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario
+from ffsm_drake.scenario import HELD, Grip, MassProperties
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.reference import make_frame_motion
 
 _KEPT = 32  # codes
@@ -38,15 +39,15 @@ class TracedSample:
     measurements, and what drifts in the sensors. ``noise`` has the parts of its noise (m).
     """
 
-    def __init__(self, scenario: Scenario, given: Scenario, grip: Grip = HELD) -> None:
-        """Args: the scenario, and one whose run is used if it differs in ``actuation.limit`` alone;
+    def __init__(self, mission: Mission, before: Mission, grip: Grip = HELD) -> None:
+        """Args: the mission, and one whose run is used if it differs in ``actuation.limit`` alone;
         what holds the target. Raises NotCovered.
         """
-        run = _covered(scenario, given, grip)
+        run = _covered(mission, before, grip)
         self.motion = run.case.motion
-        self._frame = make_frame_motion(scenario, run.case.nominal, self.motion)
+        self._frame = make_frame_motion(mission, run.case.nominal, self.motion)
         self.key, self.law, self.coordinates = run.key, run.law, run.coordinates
-        self.tracks_frame, self.sample_time = self.law.tracks_frame, scenario.sample_time  # s
+        self.tracks_frame, self.sample_time = self.law.tracks_frame, run.scenario.sample_time  # s
         blocks = run.blocks
         self.size = sum(blocks.states.values())
         if self.size > _MOST:
@@ -178,20 +179,21 @@ class TracedSample:
         return cells[first : first + size]
 
 
-def traced_sample(scenario: Scenario, given: Scenario, grip: Grip) -> TracedSample | None:
+def traced_sample(mission: Mission, before: Mission, grip: Grip) -> TracedSample | None:
     """Return the sample of a phase; None: it is not covered. Args: see ``TracedSample``."""
     try:
-        return TracedSample(scenario, given, grip)
+        return TracedSample(mission, before, grip)
     except FfsmError:
         return None
 
 
-def _covered(scenario: Scenario, given: Scenario, grip: Grip) -> Run:
+def _covered(mission: Mission, before: Mission, grip: Grip) -> Run:
     """The run whose sample it is. Arguments: see ``TracedSample``. Raises NotCovered."""
+    scenario, given = mission.scenario, before.scenario
     Compiled().check(scenario)
     unlimited = dataclasses.replace(given.actuation, limit=scenario.actuation.limit)
     is_alike = dataclasses.replace(given, actuation=unlimited) == scenario
-    own = given if is_alike else scenario
+    own = before if is_alike else mission
     run = run_of(case_of(own, grip), own)
     if run.blocks.called:
         raise NotCovered(run.blocks.called)

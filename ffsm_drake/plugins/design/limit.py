@@ -33,6 +33,7 @@ from ffsm_drake.plugins.design.stability.planned_dynamics import (
 from ffsm_drake.plugins.estimators.filter_gains import SMALLEST_RATIO
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.mission import Mission, make_mission
 
 # Prices of effort along the front, in the units of ``_regulator``.
 _PRICES = np.geomspace(1e7, 1e-3, 16)
@@ -67,18 +68,19 @@ class Limit:
 
 
 @step("computing the LQG limit")
-def find_limit(scenario: Scenario, demand: Demand | None = None) -> Limit:
+def find_limit(scenario: Scenario | Mission, demand: Demand | None = None) -> Limit:
     """The limit for a scenario and its controller's distance to it; takes less than a second.
 
     Args:
-      scenario: the scenario.
+      scenario: the scenario, or its mission.
       demand: demand of the scenario; None: computed.
 
     Raises: the errors of ``Linearizer`` and ``Linearizer.at``; BlockError for a controller tracking
     a frame; FfsmError for a run of one control period (its demand has no rate).
     """
-    demand = make_demand(scenario) if demand is None else demand
-    with Linearizer(scenario) as linearizer:
+    mission = make_mission(scenario)
+    demand = make_demand(mission) if demand is None else demand
+    with Linearizer(mission) as linearizer:
         scenario, planned = linearizer.given, linearizer.planned
         count, step = scenario.num_control_periods, scenario.sample_time
         if count < 2:
@@ -118,7 +120,7 @@ def _filter(
     a known state, as in ``covariance_after``. The filter knows the force, so that its axes are
     decoupled. Its state is [q, v, d], the bias of v, correlated noise of q and of v.
     """
-    sensing, step = smooth_sensing(scenario), scenario.sample_time
+    sensing, step = smooth_sensing(scenario, coordinates), scenario.sample_time
 
     def vector(name: str, default: float = 0.0) -> np.ndarray:
         return coordinates.vector(getattr(sensing, name), key=f"sensing.{name}", default=default)

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
-from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import short
 from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.plugins.capture.grasping import Aim
@@ -23,17 +22,13 @@ from ffsm_drake.runs.limits import (
     remarks_on,
     too_near,
 )
-from ffsm_drake.scenario import NOTHING, Scenario, planned_part
+from ffsm_drake.scenario import NOTHING, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, position_error
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.nominal import (
-    PlantModel,
-    make_flexible_plant,
-    make_nominal_plant,
-    make_true_plant,
-)
-from ffsm_drake.spacecraft.plant import configuration, files_read, find_body
+from ffsm_drake.spacecraft.mission import Mission, make_mission, planned
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.spacecraft.plant import configuration, find_body
 from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.limits import actuation_limit, joint_limits, uneven_remarks
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -49,31 +44,32 @@ _LEAST_DAMPING = 1e-4
 _PHASE = 0.5
 
 
-def plan_remarks(scenario: Scenario) -> list[str]:
+def plan_remarks(given: Scenario | Mission) -> list[str]:
     """A line for each limit exceeded by a scenario, and for each overridden value of its model.
 
     Raises:
       ModelError, ScenarioError: the model or a posture cannot be used.
     """
-    model = make_true_plant(scenario)
+    mission = make_mission(given)
+    scenario, plant = mission.scenario, mission.craft.rigid
     remarks = [
         *_cut_short(scenario),
         *_stops_nothing(scenario),
         *_unnamed_target(scenario),
-        *_overridden_mass(scenario, model.plant),
-        *_coarse_steps(scenario),
+        *_overridden_mass(scenario, plant),
+        *_coarse_steps(mission),
         *_fast_disturbances(scenario),
         *(uneven_remarks(scenario) if scenario.blocks.actuation is None else ()),
     ]
     if scenario.blocks.reference is None:
-        motion = make_motion(scenario, model.coordinates)
-        remarks += [*motion.remarks(), *_starts_elsewhere(scenario, motion, model.plant)]
-        remarks += _momentum(scenario)
-    return [*remarks, *plan_limits(scenario)]
+        motion = make_motion(mission)
+        remarks += [*motion.remarks(), *_starts_elsewhere(mission, motion)]
+        remarks += _momentum(mission)
+    return [*remarks, *plan_limits(mission)]
 
 
-def plan_limits(scenario: Scenario) -> list[str]:
-    """A line for each limit that a scenario's postures and plan exceed.
+def plan_limits(mission: Mission) -> list[str]:
+    """A line for each limit that a mission's postures and plan exceed.
 
     Evaluates the postures and, unless a user-supplied block replaces it, the planned motion:
     clearance, rates, and the force for perfect tracking with the true payload, without
@@ -81,13 +77,13 @@ def plan_limits(scenario: Scenario) -> list[str]:
 
     Raises: as ``plan_remarks``.
     """
-    model = make_true_plant(scenario)
-    limits, found = joint_limits(scenario, model.plant), posture_limits(scenario)
+    scenario, model = mission.scenario, mission.craft.true()
+    limits, found = joint_limits(mission), posture_limits(mission)
     if scenario.blocks.reference is not None:
         return found
-    motion = make_motion(scenario, model.coordinates)
+    motion = make_motion(mission)
     found += not_measured(scenario)
-    found += too_near(plan_clearance(scenario), scenario.clearance, "the planned motion")
+    found += too_near(plan_clearance(mission), scenario.clearance, "the planned motion")
     drives = None
     if scenario.drives is not None:
         drives = DriveSet(scenario.drives, scenario.actuation.limit, model.coordinates)
@@ -101,16 +97,15 @@ def plan_limits(scenario: Scenario) -> list[str]:
     return found
 
 
-def posture_limits(scenario: Scenario) -> list[str]:
+def posture_limits(mission: Mission) -> list[str]:
     """A line for each posture outside the joints' limits, and for each angle seemingly in degrees.
 
     Raises: as ``plan_remarks``.
     """
-    plant, found = make_true_plant(scenario).plant, list[str]()
-    limits = joint_limits(scenario, plant)
+    limits, found = joint_limits(mission), list[str]()
     bounds = tightest(limits, POSITION)
-    for key, posture in scenario.postures.items():
-        values = configuration(plant, posture, key=key)[1:]
+    for key, posture in mission.scenario.postures.items():
+        values = configuration(mission.craft.coordinates, posture, key=key)[1:]
         found += remarks_on(
             limits, {POSITION: values[None]}, lambda _: "", who=(f"{key}.joints", "")
         )
@@ -175,7 +170,8 @@ def _at_rate(limit: Limit, drives: DriveSet, v: np.ndarray, force: np.ndarray) -
     return dataclasses.replace(limit, source=limit.source + further, upper=most, lower=-most)
 
 
-def plan_clearance(scenario: Scenario) -> list[Closest]:
+@planned
+def plan_clearance(mission: Mission) -> list[Closest]:
     """The smallest distance of parts in the planned motion, before a grasp and with the target
     held.
 
@@ -183,20 +179,12 @@ def plan_clearance(scenario: Scenario) -> list[Closest]:
 
     Raises ModelError: the model does not load, or has shapes without a distance.
     """
+    scenario = mission.scenario
     if scenario.blocks.reference is not None:
         return []
-    return _plan_clearance_of(planned_part(scenario, with_target=True))
-
-
-# a run, its report and the next run of the same plan ask for the same
-@memoized(maxsize=64, files=files_read)
-def _plan_clearance_of(scenario: Scenario) -> list[Closest]:
-    """``plan_clearance`` of a scenario."""
-    model = make_nominal_plant(scenario)
-    motion = make_motion(scenario, model.coordinates)
-    found: list[Closest] = []
+    motion, found = make_motion(mission), list[Closest]()
     if motion.begin > 0.0:
-        path = Aim(scenario).path
+        path = Aim(mission).path
         chosen = np.unique(np.linspace(0, len(path) - 1, INSTANTS).round().astype(int))
         times = scenario.sample_time * chosen
         found += closest_of(scenario, times, motion.evaluate(times)[0], target=path[chosen, :7])
@@ -204,32 +192,31 @@ def _plan_clearance_of(scenario: Scenario) -> list[Closest]:
     return [*found, *closest_of(scenario, times, motion.evaluate(times)[0])]
 
 
-def _momentum(scenario: Scenario) -> Iterator[str]:
+def _momentum(mission: Mission) -> Iterator[str]:
     """A line if the momentum after a grasp cannot be stored, and for each accepted drift that is
     exceeded during the run.
     """
-    budget = momentum_budget(scenario) if scenario.undriven else None
+    budget = momentum_budget(mission) if mission.scenario.undriven else None
     if budget is None:
         return
     if remark := storage_remark(budget):
         yield remark
     for group, time in budget.used_up.items():
-        if time is not None and time < scenario.duration:
+        if time is not None and time < mission.scenario.duration:
             yield (
                 f"capture.accepted_drift.{group}: exceeded {time:.3g} s after the grasp, as planned"
             )
 
 
-def _starts_elsewhere(
-    scenario: Scenario, motion: PlannedMotion, plant: MultibodyPlant
-) -> Iterator[str]:
+def _starts_elsewhere(mission: Mission, motion: PlannedMotion) -> Iterator[str]:
     """A line if a plan starts at another posture or velocity than the run."""
+    scenario = mission.scenario
     if scenario.reference.kind != "optimal":
         return
     q_d, v_d, _ = motion.evaluate(motion.begin)
     names = motion.coordinates.names
-    q = configuration(plant, scenario.initial_posture, key="initial_posture")
-    v = velocity_at_start(scenario, make_nominal_plant(scenario))
+    q = configuration(motion.coordinates, scenario.initial_posture, key="initial_posture")
+    v = velocity_at_start(mission, mission.craft.nominal())
     for what, difference in (
         ("initial_posture", position_error(q_d, q)),
         ("initial_velocity", v_d - v),
@@ -252,23 +239,23 @@ def _cut_short(scenario: Scenario) -> Iterator[str]:
         )
 
 
-def _coarse_steps(scenario: Scenario) -> Iterator[str]:
+def _coarse_steps(mission: Mission) -> Iterator[str]:
     """A line if the integrator's steps change the damping of a flexible mode by more than a fifth.
 
     A fixed step h changes the amplitude of w by a factor 1 -+ (w h)^n / m: it adds the damping
     ratio (w h)^(n-1) / m.
     """
-    config = scenario.simulator_config
+    scenario, config = mission.scenario, mission.scenario.simulator_config
     if (
         not scenario.model.flexible
         or config.use_error_control
         or config.integration_scheme not in _STEP_ERRORS
     ):
         return
-    model = make_flexible_plant(scenario)
-    mode = model.modes(configuration(model.plant, scenario.initial_posture, key="initial_posture"))[
-        -1
-    ]
+    model = mission.craft.flexible()
+    mode = model.modes(
+        configuration(model.coordinates, scenario.initial_posture, key="initial_posture")
+    )[-1]
     power, divisor = _STEP_ERRORS[config.integration_scheme]
     w, step = 2.0 * np.pi * mode.frequency, min(config.max_step_size, scenario.sample_time)
     added, own = (w * step) ** power / divisor, max(mode.damping_ratio, _LEAST_DAMPING)

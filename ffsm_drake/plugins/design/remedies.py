@@ -13,7 +13,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.plugins.design.remarks import posture_limits
@@ -26,7 +25,7 @@ from ffsm_drake.plugins.design.stability.one_axis import tolerated_eta
 from ffsm_drake.plugins.design.stability.rehearsal import MANY, shares_diverged
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, override_scenario
-from ffsm_drake.spacecraft.plant import files_read
+from ffsm_drake.spacecraft.mission import Mission, kept, make_mission
 from ffsm_drake.systems.controllers import complete_gains, declared_gains
 from ffsm_drake.systems.parts.advice import Advice
 
@@ -40,24 +39,23 @@ Changes = dict[str, Any]
 
 
 @step("searching for a change that helps")
-def remedies(scenario: Scenario, *, fails: bool) -> tuple[Advice, ...]:
+def remedies(scenario: Scenario | Mission, *, fails: bool) -> tuple[Advice, ...]:
     """Return remedies for a mission with an unstable linear loop, or with a run that ``fails``.
 
     The search takes seconds. There is no search for a mission that is expected to go as planned, or
     if a posture outside the joint limits is the cause.
     """
     try:
-        if posture_limits(scenario):
-            return ()
-        return _found(scenario, fails)
+        mission = make_mission(scenario)
+        return () if posture_limits(mission) else _found(mission, fails)
     except FfsmError:  # the loop cannot be linearised or built
         return ()
 
 
-@memoized(maxsize=8, files=files_read)  # a run, its report and the verdict ask for the same
-def _found(scenario: Scenario, fails: bool) -> tuple[Advice, ...]:
-    scenario = complete_gains(scenario)
-    legs = [leg for leg in linear_verdict(scenario).legs if leg.status == "unstable"]
+@kept  # a report and the verdict ask for the same
+def _found(mission: Mission, fails: bool) -> tuple[Advice, ...]:
+    scenario = complete_gains(mission.scenario)
+    legs = [leg for leg in linear_verdict(mission.of(scenario)).legs if leg.status == "unstable"]
     if legs:
         return tuple(_of_the_loop(scenario, legs))
     if not fails:

@@ -43,6 +43,7 @@ from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, checked
+from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.systems.parts.advice import Advice
 
 _ALONE = ", each by itself"  # of remedies that may help without the others
@@ -272,12 +273,16 @@ class Verdict:
 
 @guarded
 def verdict(
-    scenario: Scenario, *, rehearsal: bool = True, margins: bool = False, advises: bool = True
+    scenario: Scenario | Mission,
+    *,
+    rehearsal: bool = True,
+    margins: bool = False,
+    advises: bool = True,
 ) -> Verdict:
     """The verdict on a mission.
 
     Args:
-      scenario: the mission.
+      scenario: the scenario, or its mission.
       rehearsal: run the mission, in the time of a run; otherwise only results without a run.
       margins: find the margins from the grasp on, too; a reason replaces missing ones.
       advises: with a rehearsal, search ``remedies`` for a failing mission (seconds).
@@ -286,24 +291,25 @@ def verdict(
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: with ``rehearsal``, a user-supplied block fails.
     """
-    scenario = checked(scenario)
+    mission = make_mission(scenario)
+    mission = mission.of(checked(mission.scenario))
     found: dict[str, Any] = dict.fromkeys(("linear", "load", "noises", "run"))
     saturated = dict[str, float]()
     try:
-        with Linearizer(scenario) as linearizer:
-            _without_a_run(found, scenario, linearizer, margins=margins)
+        with Linearizer(mission) as linearizer:
+            _without_a_run(found, mission, linearizer, margins=margins)
     except (BlockError, np.linalg.LinAlgError) as error:
         found["not_linear"] = one_line(error)
         if margins and found.get("margins") is None:
             found["not_margins"] = found["not_linear"]
         if isinstance(error, NotLinear) and found["linear"] is None:
-            found["linear"] = linear_verdict(scenario)  # which says so of its leg
+            found["linear"] = linear_verdict(mission)  # which says so of its leg
     if rehearsal:
-        log = _rehearsed(found, saturated, scenario)
+        log = _rehearsed(found, saturated, mission)
         with suppress(BlockError, np.linalg.LinAlgError):
-            _under_limits(found, scenario, log)
+            _under_limits(found, mission, log)
     else:
-        found["planned"] = tuple(plan_limits(scenario))
+        found["planned"] = tuple(plan_limits(mission))
     expected = Verdict(**{"not_linear": "", **found})
     if expected.noises is not None:
         for name, shares in expected.noises.saturated.items():
@@ -312,8 +318,8 @@ def verdict(
     is_lost = expected._diverges_by_noise or (expected.run is not None and expected.run.fails)
     return dataclasses.replace(
         expected,
-        advice=advice(scenario, saturated, settles=settles),
-        remedies=remedies(scenario, fails=is_lost)
+        advice=advice(mission, saturated, settles=settles),
+        remedies=remedies(mission, fails=is_lost)
         if advises and rehearsal and expected.is_alarm
         else (),
     )
@@ -323,8 +329,9 @@ def mission(scenario: Scenario, *, rehearsal: bool) -> tuple[dict[str, Any], lis
     """The plan's clearance, the momentum after a grasp, the verdict and all warnings for ``ffsm
     validate``, as plain data; and lines on them, without the warnings. Errors as ``verdict``.
     """
-    closest, budget = plan_clearance(scenario), momentum_budget(scenario)
-    remarks, found = plan_remarks(scenario), verdict(scenario, rehearsal=rehearsal)
+    flown = Mission(scenario)
+    closest, budget = plan_clearance(flown), momentum_budget(flown)
+    remarks, found = plan_remarks(flown), verdict(flown, rehearsal=rehearsal)
     momentum = {} if budget is None else {"momentum_budget": dataclasses.asdict(budget)}
     data = {
         "nearest": [dataclasses.asdict(each) for each in closest],
@@ -353,46 +360,46 @@ def helpful_remarks(record: RunRecord) -> list[str]:
 
 
 def _without_a_run(
-    found: dict[str, Any], scenario: Scenario, linearizer: Linearizer, *, margins: bool
+    found: dict[str, Any], mission: Mission, linearizer: Linearizer, *, margins: bool
 ) -> None:
     """Fill the parts of a verdict one after another; what was found before a BlockError stays."""
-    found["linear"] = linear = linear_verdict(scenario, linearizer)
+    found["linear"] = linear = linear_verdict(mission, linearizer)
     found["adaptation"] = "" if linear.is_alarm else adaptation_remark(linearizer)
     found["load"] = predicted_load(linearizer)
     if margins:
-        found["margins"] = stability(scenario, linearizer=linearizer)
+        found["margins"] = stability(mission, linearizer=linearizer)
         found["noises"] = found["margins"].rehearsal
-    elif is_rehearsed(scenario) and not linear.is_alarm:
-        found["noises"] = rehearse(scenario, on_drake=False)
+    elif is_rehearsed(mission.scenario) and not linear.is_alarm:
+        found["noises"] = rehearse(mission, on_drake=False)
 
 
 @step("rehearsing the mission")
-def _rehearsed(found: dict[str, Any], saturated: dict[str, float], scenario: Scenario) -> RunLog:
+def _rehearsed(found: dict[str, Any], saturated: dict[str, float], mission: Mission) -> RunLog:
     """Run the mission, and note how, and the shares of samples in which actuators saturated."""
-    rollout = make_rollout(scenario)
+    rollout = make_rollout(mission)
     try:
         log = rollout.run()
     finally:
         rollout.release()
-    saturated |= saturated_shares(scenario, log)
+    saturated |= saturated_shares(mission.scenario, log)
     found["run"] = RehearsedRun(
         ending=log.ending,
         limits=limits_left(log),
-        broken=tuple(broken_limits(scenario, make_table(log))),
+        broken=tuple(broken_limits(mission, make_table(log))),
     )
     return log
 
 
 @step("rehearsing with other noise sequences")
-def _under_limits(found: dict[str, Any], scenario: Scenario, log: RunLog) -> None:
+def _under_limits(found: dict[str, Any], mission: Mission, log: RunLog) -> None:
     """Run more noise sequences of a run that did not fail, with actuators of the base or so near
     to ``actuation.limit`` that other noise may exceed it.
     """
-    linear, run = found["linear"], found["run"]
+    scenario, linear, run = mission.scenario, found["linear"], found["run"]
     if found["noises"] is not None or linear is None or linear.is_alarm or run.fails:
         return
     force = log.generalized_force[log.time >= scenario.grasp_time]
     if is_rehearsed(scenario):
-        found["noises"] = rehearse(scenario, seeds=SEEDS)
+        found["noises"] = rehearse(mission, seeds=SEEDS)
     elif linear.status == "stable" and is_near_limits(scenario, log.coordinates, force):
-        found["noises"] = rehearse(scenario, seeds=MANY)
+        found["noises"] = rehearse(mission, seeds=MANY)

@@ -93,7 +93,7 @@ def _drake() -> str:
 
 def _models() -> str:
     from ffsm_drake.scenario import load_scenario
-    from ffsm_drake.spacecraft.nominal import make_true_plant
+    from ffsm_drake.spacecraft.craft import make_true_plant
     from ffsm_drake.spacecraft.plant import models_dir
 
     make_true_plant(load_scenario("postcapture"))

@@ -22,8 +22,9 @@ from ffsm_drake.common.products import applied
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.scenario import Environment, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
+from ffsm_drake.spacecraft.craft import Craft
 from ffsm_drake.spacecraft.free_floating import center_of_mass
-from ffsm_drake.spacecraft.nominal import Carrier, PlantModel, make_flexible_plant
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.orbit import Orbit, turned_axes
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.registry import base_actuators
@@ -126,7 +127,7 @@ class EnvironmentForce(Sampled):
     """
 
     force: OrbitalForce
-    carrier: Carrier
+    craft: Craft
 
     @property
     def inputs(self) -> Mapping[str, int]:
@@ -148,7 +149,7 @@ class EnvironmentForce(Sampled):
 
     def with_payload(self, properties: MassProperties) -> "EnvironmentForce":
         """See Sampled."""
-        model = self.carrier.loaded(self.force.model, properties)
+        model = self.craft.loaded(self.force.model, properties)
         return dataclasses.replace(self, force=dataclasses.replace(self.force, model=model))
 
     def start(self, state: np.ndarray | None = None) -> Arrays:
@@ -188,8 +189,6 @@ class OrbitalEnvironment(Part):
         locked = setup.scenario
         for part in base_actuators(locked).values():
             locked = part.locked(locked)
-        settings, model = (
-            locked.environment or Environment(),
-            make_flexible_plant(locked, setup.grip),
-        )
-        return EnvironmentForce(force=orbital_force(settings, model), carrier=Carrier(locked))
+        craft = setup.mission.of(locked).craft
+        force = orbital_force(locked.environment or Environment(), craft.flexible(setup.grip))
+        return EnvironmentForce(force=force, craft=craft)

@@ -16,7 +16,6 @@ from typing import ClassVar, Self
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.estimators.assumed_noise import assumed_noise, sensed_axes
 from ffsm_drake.plugins.estimators.filter_gains import coupled_gain
@@ -26,11 +25,10 @@ from ffsm_drake.plugins.estimators.kalman import (
     predict,
     turned,
 )
-from ffsm_drake.scenario import Grip, Scenario, planned_part
+from ffsm_drake.scenario import Grip
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
-from ffsm_drake.spacecraft.plant import files_read
+from ffsm_drake.spacecraft.mission import Mission, planned
 from ffsm_drake.systems.controllers.estimation import Estimate, Estimator
 from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.reference import make_motion
@@ -61,11 +59,12 @@ class CoupledEstimator(Estimator):
     @classmethod
     def make(
         cls,
-        scenario: Scenario,
+        mission: Mission,
         coordinates: Coordinates,
         jacobian: np.ndarray | None,
         grip: Grip,
     ) -> Self:
+        scenario = mission.scenario
         sensed = sensed_axes(scenario, coordinates)
         if not all(axis.is_prompt for axis in sensed) or len(set(sensed[:3])) > 1:
             raise ScenarioError(
@@ -78,7 +77,7 @@ class CoupledEstimator(Estimator):
         walk = coordinates.vector(scenario.estimator.force_walk, key="estimator.force_walk")
         bias_walk = np.array([axis.bias_walk for axis in sensed])
         postures, gain = _gains_along(
-            planned_part(scenario),
+            mission,
             grip,
             axes=axes,
             position_noise=position[axes],
@@ -86,7 +85,7 @@ class CoupledEstimator(Estimator):
             walk=walk[axes],
             bias_walk=bias_walk[axes],
         )
-        separate = KalmanEstimator.make(scenario, coordinates, None, grip)
+        separate = KalmanEstimator.make(mission, coordinates, None, grip)
         biased = axes[bias_walk[axes] > 0.0]
         return cls(separate=separate, axes=axes, biased=biased, postures=postures, gain=gain)
 
@@ -157,26 +156,26 @@ def _nearest(postures: np.ndarray, q: np.ndarray) -> np.ndarray:
     return nearest
 
 
-# a run's check, the run and its report make the same law
-@memoized(maxsize=16, files=files_read)
+@planned
 def _gains_along(
-    scenario: Scenario,
+    mission: Mission,
+    /,
     grip: Grip,
     *,
     axes: np.ndarray,
     **noises: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Postures (m, nq) of a scenario's plan, with the coupled gain of each (m, 3 n, 2 n).
+    """Postures (m, nq) of a mission's plan, with the coupled gain of each (m, 3 n, 2 n).
 
     With a capture it is the plan of the phase with ``grip``. The relative eigenvalues of the
     inertias of neighbours stay within ``_NEIGHBOURS``, if ``_MOST_POSTURES`` are enough.
 
     Args:
-      scenario: with its model and plan.
+      mission: with its model and plan.
       axes, noises: arguments of ``coupled_gain``.
     """
-    model = driven_model(make_nominal_plant(scenario, grip))
-    motion = make_motion(scenario, model.coordinates, grip)
+    model = driven_model(mission.craft.nominal(grip))
+    motion = make_motion(mission, grip)
     q, _, _ = motion.evaluate(np.linspace(motion.begin, motion.end, _INSTANTS))
     inverse = np.linalg.inv(model.calc_mass_matrix(q))[:, axes[:, None], axes]
     # Distances by the logarithm of the eigenvalue farthest from one: they add up along the motion.
@@ -186,6 +185,7 @@ def _gains_along(
     count = min(math.ceil(steps) + 1, _MOST_POSTURES)
     chosen = np.abs(passed - np.linspace(0.0, passed[-1], count)[:, None]).argmin(axis=1)
     gains = [
-        coupled_gain(each, sample_time=scenario.sample_time, **noises) for each in inverse[chosen]
+        coupled_gain(each, sample_time=mission.scenario.sample_time, **noises)
+        for each in inverse[chosen]
     ]
     return q[chosen], np.array(gains)

@@ -9,7 +9,8 @@ import numpy as np
 from ffsm_drake.common.choice import is_known, may_be
 from ffsm_drake.scenario import FaultKind, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, halves
-from ffsm_drake.spacecraft.nominal import Carrier, PlantModel, make_flexible_plant
+from ffsm_drake.spacecraft.craft import Craft
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.faults import BreakingPart, hits
 from ffsm_drake.systems.sampled import Arrays
@@ -38,12 +39,12 @@ class JammedJoints(BreakingPart):
         scenario, coordinates, step = setup.scenario, setup.coordinates, setup.sample_time
         found = hits(scenario, self.fails_as)
         jammed = [name for name in coordinates.joints if name in {hit.unit for hit in found}]
-        model, nv = make_flexible_plant(scenario, setup.grip), len(coordinates.names)
+        model, nv = setup.craft.flexible(setup.grip), len(coordinates.names)
         entries = [NUM_BASE_VELOCITIES + coordinates.joints.index(name) for name in jammed]
         joints = np.array([model.split.whole_velocities(np.eye(nv)[each]) for each in entries]).T
         return Jam(
             model=model,
-            carrier=Carrier(scenario),
+            craft=setup.craft,
             joints=joints,
             of=np.array([[float(name == hit.unit) for hit in found] for name in jammed]),
             since=step * np.array([float(hit.occurs.first) for hit in found]),
@@ -65,7 +66,7 @@ class Jam(Continuous):
     """
 
     model: PlantModel
-    carrier: Carrier
+    craft: Craft
     joints: np.ndarray  # (plant's velocities, n) directions of the joints
     of: np.ndarray  # (n, m) 1: the fault is of the joint
     since: np.ndarray  # (m) first times of the faults, s
@@ -86,7 +87,7 @@ class Jam(Continuous):
 
     def with_payload(self, properties: MassProperties) -> "Jam":
         """See InstantSystem."""
-        return dataclasses.replace(self, model=self.carrier.loaded(self.model, properties))
+        return dataclasses.replace(self, model=self.craft.loaded(self.model, properties))
 
     def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
         """See Continuous."""

@@ -18,7 +18,8 @@ from ffsm_drake.plugins.faults.jam import JAMMED
 from ffsm_drake.plugins.faults.sensors import SENSOR_FAULTS, reports_losses, sensors_of
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.nominal import PlantModel, damping_of, make_nominal_plant
+from ffsm_drake.spacecraft.mission import Mission
+from ffsm_drake.spacecraft.nominal import PlantModel, damping_of
 from ffsm_drake.systems.sensing.errors import measurement_times
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -74,7 +75,7 @@ class Known:
         self._leg = float(held.mass)
         factor = self._settings.payload_factor if setup.grip.holds else 1.0
         # the nominal one, those with a light and with a heavy payload
-        self._models = [self._model, *_extremes(scenario, factor)]
+        self._models = [self._model, *_extremes(setup.mission, factor)]
         self._damping = damping_of(self._model.plant)
         self._is_flexible = bool(scenario.model.flexible)
         actuation = allocated(scenario)
@@ -178,9 +179,9 @@ class Known:
         memory.blocks = -1.0
 
 
-def _extremes(scenario: Scenario, factor: float) -> list[PlantModel]:
+def _extremes(mission: Mission, factor: float) -> list[PlantModel]:
     """The models with the lightest and the heaviest payload."""
-    payload = scenario.payload
+    payload = mission.scenario.payload
     if factor == 1.0:
         return []
     models = []
@@ -190,5 +191,5 @@ def _extremes(scenario: Scenario, factor: float) -> list[PlantModel]:
             payload.nominal, mass=share * payload.nominal.mass, inertia=inertia
         )
         changed = dataclasses.replace(payload, nominal=nominal)
-        models.append(make_nominal_plant(dataclasses.replace(scenario, payload=changed)))
+        models.append(mission.flown_by(payload=changed).craft.nominal())
     return models

@@ -15,7 +15,7 @@ from ffsm_drake.plugins.flight.plant import PlantFiles
 from ffsm_drake.plugins.flight.traced import FlightLaw
 from ffsm_drake.scenario import HELD, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant
 
 _FRAME = {
     "quaternion": ("w", "x", "y", "z"),

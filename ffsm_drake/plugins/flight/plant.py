@@ -23,6 +23,7 @@ from ffsm_drake.plugins.tape.numbers import Tape, number
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import closing_times
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import ControlLaw
 from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.frame_path import FRAME_SIZE
@@ -93,7 +94,8 @@ class _Plant:
 
     def __init__(self, scenario: Scenario, *, table: bool) -> None:
         self._scenario, self._table = scenario, table
-        self._run = Run(scenario, law=lambda setup: _Outside()).with_called_law("FMU")
+        self._mission = Mission(scenario)
+        self._run = Run(self._mission, law=lambda setup: _Outside()).with_called_law("FMU")
         self._case = case = self._run.case
         for what, is_there in {
             "the supervisor": case.made.watch is not None,
@@ -207,7 +209,7 @@ void plant_move({_CELLS})
         calls, case = list[str](), self._case
         motions: dict[str, Any] = {"reference": case.motion}
         if "frame" in self._sizes:
-            motions["frame"] = make_frame_motion(self._scenario, case.nominal, case.motion)
+            motions["frame"] = make_frame_motion(self._mission, case.nominal, case.motion)
         for name, motion in motions.items():
             function = None if self._table else _function_of(motion)
             if function is None:
@@ -268,7 +270,7 @@ void plant_move({_CELLS})
         return found
 
     def _of_mass(self, mass: float) -> Case:
-        return Case(self._scenario.replace(payload={"truth": {"mass": mass}}))
+        return Case(self._mission.of(self._scenario.replace(payload={"truth": {"mass": mass}})))
 
     def _numbers(self, case: Case) -> dict[str, np.ndarray]:
         """What the cells begin with. Drift is that of one deviation."""

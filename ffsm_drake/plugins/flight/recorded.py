@@ -53,7 +53,7 @@ def recorded(scenario: Scenario, reads: Collection[str]) -> Recorded:
     plain = scenario.faults is None and scenario.supervisor is None and not scenario.contacts
     if plain and not scenario.blocks.choices():
         with suppress(FfsmError):  # llvmlite is an extra
-            (log,) = Compiled().run_all([scenario])
+            (log,) = Compiled().run_all([law.mission])
             if isinstance(log, RunLog):
                 return _of_log(log, law, optional)
     return _tapped(scenario, optional)
@@ -71,8 +71,8 @@ def _of_log(log: RunLog, law: FlightLaw, optional: list[str]) -> Recorded:
     if IS_NEW in optional:
         given.append(_is_new(scenario, law, count))
     if "desired_frame" in optional:
-        motion = make_motion(scenario, law.coordinates, law.grip)
-        path: Any = make_frame_motion(scenario, law.nominal, motion)
+        motion = make_motion(law.mission, law.grip)
+        path: Any = make_frame_motion(law.mission, law.nominal, motion)
         given.append(path.rows(log.time))
     grasp = count if log.grasp is None else log.grasp.sample
     samples = np.arange(count)

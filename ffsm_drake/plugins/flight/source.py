@@ -10,7 +10,6 @@ from ffsm_drake.plugins.flight.layout import WITHOUT, Layout, located, numbers
 from ffsm_drake.plugins.flight.traced import PLANNED, TIME, FlightLaw
 from ffsm_drake.plugins.tape.numbers import NotTraceable
 from ffsm_drake.spacecraft.limits import POSITION, RATE
-from ffsm_drake.spacecraft.plant import make_plant
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.limits import joint_limits
 
@@ -87,7 +86,7 @@ def _constant_gains(layout: Layout) -> str:
 
 def _limits(layout: Layout) -> Iterator[str]:
     """The tightest limits of positions and rates, by coordinate of v."""
-    limits = joint_limits(layout.scenario, make_plant(layout.scenario.model))
+    limits = joint_limits(layout.law.mission)
     for name, quantity in (("POSITION", POSITION), ("RATE", RATE)):
         least, most = np.full(layout.nv, -np.inf), np.full(layout.nv, np.inf)
         for each in limits:

@@ -26,7 +26,8 @@ from ffsm_drake.plugins.flight.functions import Function, Precision
 from ffsm_drake.plugins.tape.arrays import inputs, traced
 from ffsm_drake.plugins.tape.numbers import NotTraceable, Symbol, Tape, none_caught, number
 from ffsm_drake.scenario import Grip, Scenario
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
+from ffsm_drake.spacecraft.mission import Mission, make_mission
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers import SampledController, make_controller
 from ffsm_drake.systems.controllers.law import Gain, gains_of
 from ffsm_drake.systems.controllers.law_block import LawBlock
@@ -42,16 +43,17 @@ PLANNED = "planned"  # that of a sample with the numbers that a law reads by sam
 class FlightLaw:
     """A control law with one nominal model of the spacecraft."""
 
-    def __init__(self, scenario: Scenario, grip: Grip) -> None:
-        """Args: the scenario; what holds the target.
+    def __init__(self, given: Scenario | Mission, grip: Grip) -> None:
+        """Args: the scenario, or its mission; what holds the target.
 
         Raises FfsmError: the controller is a Drake system, or has a field of an unknown kind.
         """
-        self.scenario, self.grip = scenario, grip
-        self.nominal: PlantModel = make_nominal_plant(scenario, grip)
-        controller = make_controller(scenario, self.nominal)
+        self.mission = mission = make_mission(given)
+        self.scenario, self.grip = mission.scenario, grip
+        self.nominal: PlantModel = mission.craft.nominal(grip)
+        controller = make_controller(mission, self.nominal)
         if not isinstance(controller, SampledController):
-            raise FfsmError(f"{scenario.controller} is a Drake system, not a control law")
+            raise FfsmError(f"{self.scenario.controller} is a Drake system, not a control law")
         self.controller, self.law = controller, controller.law
         self.coordinates = self.nominal.coordinates
         self._block = LawBlock(self.law, self.coordinates)
@@ -73,8 +75,8 @@ class FlightLaw:
         """The planned motion, and the path of a frame if one is prescribed, by the fields of
         ``law_in`` that they begin with.
         """
-        motion = make_motion(self.scenario, self.coordinates, self.grip)
-        path = make_frame_motion(self.scenario, self.nominal, motion)
+        motion = make_motion(self.mission, self.grip)
+        path = make_frame_motion(self.mission, self.nominal, motion)
         return {"q_d": motion} | ({} if path is None else {"desired_frame": path})
 
     def rows_by_sample(self) -> np.ndarray:

@@ -28,7 +28,7 @@ from ffsm_drake.plugins.task_space.tasks import TaskSpace
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, load_scenario
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import ControlLaw
 from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.limits import actuation_limit
@@ -201,9 +201,10 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if not isinstance(scenario, Scenario):
             scenario = load_scenario(scenario, overrides)
         law = law or scenario.controller
-        self.scenario = scenario.replace(controller=law)
+        self.mission = Mission(scenario.replace(controller=law))
+        self.scenario = self.mission.scenario
         self.samples_per_step, self._weights = samples_per_step, {**WEIGHTS, **(weights or {})}
-        self.coordinates = coordinates = make_nominal_plant(self.scenario).coordinates
+        self.coordinates = coordinates = self.mission.craft.coordinates
         self._limit = limit = _finite(actuation_limit(self.scenario, coordinates).upper)
         self.action_names = tuple(coordinates.names[i] for i in coordinates.driven)
         factory = find_factory("controller", law, python_path=scenario.python_path)

@@ -61,7 +61,7 @@ class MissionVectorEnv(SyncVectorEnv[np.ndarray, np.ndarray]):
         one = self.envs[0]
         found = find_engine(name)
         assert found is not None
-        return found.lanes(one.scenario, one.steering, self.num_envs, self._every)
+        return found.lanes(one.mission, one.steering, self.num_envs, self._every)
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None

@@ -59,7 +59,7 @@ class ReplayView:
         self._positions = dataset["position"].values
         # Before a grasp the target is a separate body.
         self._target, self._payload_body = free_target(dataset), record.scenario.payload.body
-        set_stage(meshcat, record.scenario, ghost=ghost)
+        set_stage(meshcat, record.mission, ghost=ghost)
         self.spacecraft = SpacecraftView(
             meshcat, record.scenario, frames_per_second=frames_per_second
         )

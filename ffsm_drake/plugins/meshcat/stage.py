@@ -33,11 +33,11 @@ from ffsm_drake.common.loopback import HOST, random_loopback
 from ffsm_drake.plugins.meshcat.solids import draw_over, draw_solids, solids_of
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.boxes import box_around, box_corners
+from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.spacecraft.plant import (
     add_combined_plant,
     base_body,
     configuration,
-    coordinates_of,
     find_body,
     split_of,
 )
@@ -117,25 +117,25 @@ def start_meshcat() -> Meshcat:
     raise FfsmError("Meshcat cannot start: no port of this machine is free for it")
 
 
-def set_stage(meshcat: Meshcat, scenario: Scenario, *, ghost: bool = True) -> None:
+def set_stage(meshcat: Meshcat, scenario: Scenario | Mission, *, ghost: bool = True) -> None:
     """Set a dark background, the camera and the translucent ghost of the target posture."""
     meshcat.SetProperty("/Background/<object>", "top_color", [0.06, 0.08, 0.14])
     meshcat.SetProperty("/Background/<object>", "bottom_color", [0.16, 0.20, 0.29])
     meshcat.SetProperty("/Grid", "visible", False)
     meshcat.SetProperty("/Axes", "visible", False)
     meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", 1.6)
-    builder = DiagramBuilder()
-    plant = add_combined_plant(builder, scenario.model, flexible=True)
+    builder, mission = DiagramBuilder(), make_mission(scenario)
+    plant = add_combined_plant(builder, mission.craft.model, flexible=True)
     scene_graph = builder.GetSubsystemByName("scene_graph")
-    camera, center = camera_pose(plant, scenario, scene_graph.model_inspector())
+    camera, center = camera_pose(plant, mission, scene_graph.model_inspector())
     meshcat.SetCameraPose(camera, center)
     if ghost:
-        _show_target_posture(meshcat, scenario, builder, plant, scene_graph)
+        _show_target_posture(meshcat, mission, builder, plant, scene_graph)
 
 
 def _show_target_posture(
     meshcat: Meshcat,
-    scenario: Scenario,
+    mission: Mission,
     builder: DiagramBuilder,
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
@@ -151,14 +151,14 @@ def _show_target_posture(
     MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, params)
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
-    q = split_of(plant).whole_positions(_last_configuration(scenario, plant))
+    q = mission.craft.split.whole_positions(_last_configuration(mission))
     plant.SetPositions(plant.GetMyMutableContextFromRoot(context), q)
     diagram.ForcedPublish(context)
 
 
-def _last_configuration(scenario: Scenario, plant: MultibodyPlant) -> np.ndarray:
+def _last_configuration(mission: Mission) -> np.ndarray:
     """Final configuration (nq) of the motion, which need not be the target posture."""
-    reference = scenario.reference
+    scenario, reference = mission.scenario, mission.scenario.reference
     elsewhere = (
         (reference.kind, reference.goal) != _TO_TARGET
         or reference.frame is not None
@@ -166,13 +166,13 @@ def _last_configuration(scenario: Scenario, plant: MultibodyPlant) -> np.ndarray
     )
     if scenario.blocks.reference is None and elsewhere:
         with suppress(FfsmError):  # a plan's file may be gone
-            motion = make_motion(scenario, coordinates_of(plant))
+            motion = make_motion(mission)
             return motion.evaluate(motion.end)[0]
-    return configuration(plant, scenario.target_posture, key="target_posture")
+    return configuration(mission.craft.coordinates, scenario.target_posture, key="target_posture")
 
 
 def camera_pose(
-    plant: MultibodyPlant, scenario: Scenario, inspector: SceneGraphInspector
+    plant: MultibodyPlant, mission: Mission, inspector: SceneGraphInspector
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return positions of the camera and of its target point (3 each), world frame, m.
 
@@ -181,14 +181,14 @@ def camera_pose(
     """
     context = plant.CreateDefaultContext()
     points = []
-    for name, posture in scenario.postures.items():
+    for name, posture in mission.scenario.postures.items():
         last = name == "target_posture"
         q = (
-            _last_configuration(scenario, plant)
+            _last_configuration(mission)
             if last
-            else configuration(plant, posture, key=name)
+            else configuration(mission.craft.coordinates, posture, key=name)
         )
-        plant.SetPositions(context, split_of(plant).whole_positions(q))
+        plant.SetPositions(context, mission.craft.split.whole_positions(q))
         # not the world
         points += [
             _outline(plant, context, inspector, BodyIndex(k)) for k in range(1, plant.num_bodies())

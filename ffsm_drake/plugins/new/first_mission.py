@@ -39,8 +39,9 @@ from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_POSITIONS,
     NUM_BASE_VELOCITIES,
 )
-from ffsm_drake.spacecraft.limits import POSITION, RATE, urdf_limits
-from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.craft import Craft
+from ffsm_drake.spacecraft.limits import POSITION, RATE
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.plant import configuration, find_frame
 from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.reference import make_motion
@@ -103,15 +104,19 @@ class Draft:
                 initial["base_rpy"][k] = 0.0
         self._enough = 0.0  # N m, of a wheel
         self.peaks, self.weak = np.zeros(0), ""  # (nv) forces of motion and disturbance
-        self.true = make_true_plant(self.scenario)
-        self.coordinates = self.true.coordinates
-        limits = urdf_limits(self.scenario.model, self.true.plant)
-        self._limits = [each for each in limits if each.quantity in _WITHIN]
+        craft = Craft(self.scenario)
+        self.true, self.coordinates = craft.true(), craft.coordinates
+        self._limits = [each for each in craft.limits if each.quantity in _WITHIN]
 
     @property
     def scenario(self) -> Scenario:
         """The present scenario."""
         return self._scenario()
+
+    @property
+    def mission(self) -> Mission:
+        """The present scenario with its spacecraft."""
+        return Mission(self.scenario)
 
     def _scenario(self, **changes: Any) -> Scenario:
         """Return the present scenario with other sections, without empty ones."""
@@ -144,12 +149,12 @@ class Draft:
         self._disturb()
         moves = bool(self._starts) and self.asked.capture is not None
         for _ in range(_ROUNDS):
-            if not (self._pace() or self._used()[0] > 1.0) or not moves:
+            if not (self._pace() or self._used(self.mission)[0] > 1.0) or not moves:
                 break
             self._approach(_SHORTER)
         else:
             self._pace()
-        used, told = self._used()
+        used, told = self._used(self.mission)
         self._outside = told if used > 1.0 else ""
 
     @property
@@ -197,11 +202,11 @@ class Draft:
         joint = next(each for each in self.servicer.joints if each.name == name)
         return min(_RATE[joint.unit], _SHARE_OF_VELOCITY * joint.velocity)
 
-    def _used(self) -> tuple[float, str]:
+    def _used(self, mission: Mission) -> tuple[float, str]:
         """Return the largest share of the joint limits, minus their margins, that the planned
         motion uses, and the joint that uses it, as text.
         """
-        motion, limits = make_motion(self.scenario, self.coordinates), self._limits
+        motion, limits = make_motion(mission), self._limits
         q, v, _ = motion.evaluate(np.linspace(0.0, motion.end, 4 * _INSTANTS))
         used = np.array([
             limit.used({POSITION: q[:, 1:], RATE: v}[limit.quantity]).max(axis=0)
@@ -239,10 +244,11 @@ class Draft:
                 self.data |= copy.deepcopy(before)
                 self._begin(start, length, shares)
                 with step(f"approach {k + 1} of {len(ways)}"):
-                    used = max(self._used()[0], 1.0)
+                    mission = self.mission
+                    used = max(self._used(mission)[0], 1.0)
                     if -used < best[0]:
                         continue
-                    near = min(plan_clearance(self.scenario), key=lambda each: each.distance)
+                    near = min(plan_clearance(mission), key=lambda each: each.distance)
                 if (-used, near.distance) > best:
                     told = str(near)
                     best, chosen = (-used, near.distance), self._choice
@@ -378,7 +384,7 @@ class Draft:
 
     def _planned(self, **changes: Any) -> PlannedDynamics:
         """Return the motion after the grasp, without disturbance."""
-        return PlannedDynamics(*from_grasp(self._scenario(disturbance={}, **changes)))
+        return PlannedDynamics(*from_grasp(Mission(self._scenario(disturbance={}, **changes))))
 
     def _disturb(self) -> None:
         """Choose a harmonic disturbance for each driven coordinate.
@@ -441,7 +447,7 @@ class Draft:
 
     def _approach_peaks(self) -> np.ndarray:
         """Return the largest forces (nv) of the approach, N m or N, as if the target were held."""
-        whole = PlannedDynamics(self._scenario(disturbance={}))
+        whole = PlannedDynamics(Mission(self._scenario(disturbance={})))
         return _peaks(whole, 0.0, self.data["capture"]["approach"]["duration"])
 
     def _longer(self, duration: float, peaks: np.ndarray) -> float:
@@ -466,9 +472,9 @@ class Draft:
 
     def _at_postures(self, grip: Grip) -> Iterator[np.ndarray]:
         """Yield the mass matrices (nv, nv) in the postures, with the target or without."""
-        model = make_true_plant(self.scenario, grip)
+        model = self.mission.craft.true(grip)
         for key, each in self.scenario.postures.items():
-            yield model.calc_mass_matrix(configuration(model.plant, each, key=key))
+            yield model.calc_mass_matrix(configuration(model.coordinates, each, key=key))
 
     def _resolve_friction(self) -> None:
         """Choose integrator steps that resolve friction near rest.

@@ -274,16 +274,16 @@ class Hands(Postures):
             if self._distance(closed) < min(CLEAR, hold.distance):
                 continue
             data["initial_posture"]["joints"] = self.by_name(np.round(closed, 6))
-            scenario = draft.scenario
+            mission = draft.mission
             self._motions += 1
             try:
-                motion = make_motion(scenario, draft.coordinates)
+                motion = make_motion(mission)
             except ScenarioError:
                 continue
             rows = motion.rows(np.linspace(0.0, motion.end, _INSTANTS))
             if not self._is_within(rows[:, NUM_BASE_POSITIONS : NUM_BASE_POSITIONS + n]):
                 continue
-            near = min((each.distance for each in plan_clearance(scenario)), default=np.inf)
+            near = min((each.distance for each in plan_clearance(mission)), default=np.inf)
             if best is None or near > best[0]:
                 rates = np.abs(rows[:, -2 * n - NUM_BASE_VELOCITIES :][:, :n]).max(axis=0)
                 best = near, closed, rates

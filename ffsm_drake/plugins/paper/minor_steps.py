@@ -17,7 +17,7 @@ from ffsm_drake.plugins.paper.wording import scientific
 from ffsm_drake.runs.metrics import isv, itae
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import error_rate, position_error
-from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers import make_law
 from ffsm_drake.systems.disturbance import force_at, sines_of
@@ -133,16 +133,17 @@ class _Loop:
     """Plant and law as one differential equation of y = [q, v, integral of the error, K_s, G]."""
 
     def __init__(self, scenario: Scenario) -> None:
-        self.truth, self.nominal = make_true_plant(scenario), make_nominal_plant(scenario)
+        mission = Mission(scenario)
+        self.truth, self.nominal = mission.craft.true(), mission.craft.nominal()
         coordinates = self.nominal.coordinates
         self.nv, self.period = len(coordinates.names), scenario.sample_time
-        self.dynamics = make_law(scenario, self.nominal).dynamics
-        self.motion = make_motion(scenario, coordinates)
+        self.dynamics = make_law(mission, self.nominal).dynamics
+        self.motion = make_motion(mission)
         self.sines = sines_of(scenario.disturbance, coordinates)
         self.noise = coordinates.vector(
             scenario.sensing.velocity_noise, key="sensing.velocity_noise", default=0.0
         )
-        q = configuration(self.truth.plant, scenario.initial_posture, key="initial_posture")
+        q = configuration(self.truth.coordinates, scenario.initial_posture, key="initial_posture")
         memory = self.dynamics.initial_state()
         self.start = np.concatenate([q, np.zeros(self.nv), *(memory[name] for name in _INTEGRATED)])
 

@@ -9,7 +9,7 @@ from ffsm_drake.plugins.paper.minor_steps import minor_step_runs
 from ffsm_drake.plugins.paper.runs import CONTROLLERS, NOMINALS, PROPOSED, Case, Results, gain_of
 from ffsm_drake.plugins.paper.verdict import Evaluated, both, claims_about, holds_if, in_both
 from ffsm_drake.plugins.paper.wording import NAMES, fate, fixed, itae_of, listed, named, span
-from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
 
 claim = claims_about("Stability and robustness")
 

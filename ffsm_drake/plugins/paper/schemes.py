@@ -9,7 +9,8 @@ from ffsm_drake.plugins.paper.runs import PROPOSED, Results
 from ffsm_drake.plugins.paper.verdict import Evaluated, both, claims_about, holds_if, ratios_in_both
 from ffsm_drake.plugins.paper.wording import fixed, percent, span, times_span
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import Craft
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import make_law
 
 claim = claims_about("Comparison of the schemes")
@@ -73,9 +74,8 @@ def without_k_p_surfaces_become_ordinary(results: Results) -> Evaluated:
 
 def _law(scenario: Scenario, name: str) -> Any:
     """The injected dynamics of one of the paper's laws with the scenario's gains."""
-    return make_law(
-        dataclasses.replace(scenario, controller=name), make_nominal_plant(scenario)
-    ).dynamics
+    mission = Mission(dataclasses.replace(scenario, controller=name))
+    return make_law(mission, mission.craft.nominal()).dynamics
 
 
 def _law_gap(results: Results, first: str, second: str, *, keep_k_p: bool, keep_g: bool) -> float:
@@ -90,7 +90,7 @@ def _law_gap(results: Results, first: str, second: str, *, keep_k_p: bool, keep_
             for law in laws
         ]
     random = np.random.default_rng(0)
-    size = len(make_nominal_plant(scenario).coordinates.names)
+    size = len(Craft(scenario).coordinates.names)
     largest = 0.0
     for _ in range(100):
         e, e_dot, integral = 1e-6 * random.normal(size=(3, size))

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, tightest
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.limits import limits_of
 
@@ -66,13 +66,13 @@ class Margin:
         )
 
 
-def motion_limits(scenario: Scenario, model: PlantModel) -> MotionLimits:
-    """Return the limits of a scenario: its actuators, URDFs, drives, and ``planning``; none for
+def motion_limits(mission: Mission) -> MotionLimits:
+    """Return the limits of a mission: its actuators, URDFs, drives, and ``planning``; none for
     undriven coordinates.
 
     Raises ScenarioError for a missing or undriven coordinate, ModelError for an unreadable URDF.
     """
-    coordinates, planning = model.coordinates, scenario.planning
+    coordinates, planning = mission.craft.coordinates, mission.scenario.planning
 
     def vector(values: dict[str, float] | None, key: str) -> np.ndarray:
         found = coordinates.vector(values or {}, key=key, default=np.inf)
@@ -86,7 +86,7 @@ def motion_limits(scenario: Scenario, model: PlantModel) -> MotionLimits:
                 )
         return np.where(coordinates.is_driven, found, np.inf)
 
-    limits = limits_of(scenario, model.plant)
+    limits = limits_of(mission)
     force, rate, position = (tightest(limits, each) for each in (FORCE, RATE, POSITION))
     return MotionLimits(
         force=np.where(coordinates.is_driven, (1.0 - planning.reserve) * force.upper, np.inf),

@@ -27,7 +27,7 @@ from ffsm_drake.spacecraft.coordinates import (
     position_errors,
 )
 from ffsm_drake.spacecraft.free_floating import free_floating
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.plan import DEGREE, Plan
@@ -114,13 +114,16 @@ class _Planner:
             raise ScenarioError(
                 "contacts", "a plan is for one hand on the target; give one contact"
             )
-        model = self._model = make_nominal_plant(scenario)
-        self._limits = motion_limits(scenario, model)
+        mission = Mission(scenario)
+        model = self._model = mission.craft.nominal()
+        self._limits = motion_limits(mission)
         self._clearance = Clearance(scenario.model)
-        self._start = configuration(model.plant, scenario.initial_posture, key="initial_posture")
-        target = configuration(model.plant, scenario.target_posture, key="target_posture")
+        self._start = configuration(
+            model.coordinates, scenario.initial_posture, key="initial_posture"
+        )
+        target = configuration(model.coordinates, scenario.target_posture, key="target_posture")
         self._target = None if scenario.reference.goal == "stop" else target
-        self._rate = velocity_at_start(scenario, model)
+        self._rate = velocity_at_start(mission, model)
         self._dynamics = InverseDynamics(model, RotationMatrix(Quaternion(self._start[:4])))
         if scenario.reference.frame is not None:
             raise ScenarioError(

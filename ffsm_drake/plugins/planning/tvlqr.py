@@ -18,12 +18,12 @@ import numpy as np
 from pydrake.systems.controllers import DiscreteTimeLinearQuadraticRegulator
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.so3 import quaternion_rate, skew
-from ffsm_drake.scenario import Grip, Scenario
+from ffsm_drake.scenario import Grip
 from ffsm_drake.spacecraft.free_floating import driven_model
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
-from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, files_read
+from ffsm_drake.spacecraft.mission import Mission, planned
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.spacecraft.plant import DRAKE_ERRORS
 from ffsm_drake.systems.controllers.law import (
     ControlLaw,
     Sample,
@@ -97,19 +97,17 @@ class Tvlqr(ControlLaw):
                 f"{setup.name} needs the planned motion; blocks.reference must be null",
             )
         law = cls(**field_values(cls, setup))
-        scenario = dataclasses.replace(setup.scenario, random_seed=0, description="")
-        return dataclasses.replace(law, gains=_gains_of(scenario, setup.grip, setup.settings))
+        settings = {**setup.settings}
+        return dataclasses.replace(law, gains=_gains_of(setup.mission, setup.grip, settings))
 
 
-@memoized(maxsize=4, files=files_read)  # used by a run, its prediction and its stability
-def _gains_of(scenario: Scenario, grip: Grip, settings: Mapping[str, Any]) -> np.ndarray:
+@planned  # used by a run, its prediction and its stability
+def _gains_of(mission: Mission, grip: Grip, settings: Mapping[str, Any]) -> np.ndarray:
     """K_k (samples, nv, 2 nv) until the end of the planned motion."""
-    model = driven_model(make_nominal_plant(scenario, grip))
-    setup = BlockSetup(
-        name=scenario.controller, scenario=scenario, nominal=model, settings=settings
-    )
+    model, scenario = driven_model(mission.craft.nominal(grip)), mission.scenario
+    setup = BlockSetup(name=scenario.controller, mission=mission, nominal=model, settings=settings)
     law = Tvlqr(**field_values(Tvlqr, setup))
-    motion, period = make_motion(scenario, model.coordinates, grip), scenario.sample_time
+    motion, period = make_motion(mission, grip), scenario.sample_time
     last, nv = max(1, round(motion.end / period)), law.error_size.size
     known = [
         linearized(model, *motion.evaluate(time))

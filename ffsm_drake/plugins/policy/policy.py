@@ -121,7 +121,7 @@ class ActingLaw(ControlLaw):
 
 def inner_law(name: str, setup: BlockSetup) -> ControlLaw:
     """The law of a scenario that actions change. Raises BlockError: it is no law."""
-    inner = make_law(dataclasses.replace(setup.scenario, controller=name), setup.nominal)
+    inner = make_law(setup.mission.flown_by(controller=name), setup.nominal)
     if not isinstance(inner, ControlLaw):
         raise BlockError(f"{name}: must be a control law")
     return inner

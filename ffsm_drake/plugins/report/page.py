@@ -222,7 +222,7 @@ def _remarks(result: Result, folder: Path) -> Json:
     record = result.record
     if not record.dataset.sizes.get("time", 0):
         return {"broken": [], "said": []}
-    broken, _ = attempt("limits", result, broken_limits, record.scenario, record.dataset)
+    broken, _ = attempt("limits", result, broken_limits, record.mission, record.dataset)
     lines: list[str | None] = [part.sentence for part in record.parts]
     lines += attempt("warnings", result, run_remarks, record)[0] or ()
     advice, remedy = SERVICES.find("advice"), SERVICES.find("remedy")

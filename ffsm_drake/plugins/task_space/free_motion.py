@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.so3 import quaternion_rate
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
 from ffsm_drake.spacecraft.free_floating import FreeFloating
@@ -37,7 +36,6 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         velocity: np.ndarray,
         sample_time: float,
         end: float,
-        content: tuple[Any, ...] = (),
     ) -> None:
         """Args:
         model: the plant with the nominal payload.
@@ -45,10 +43,7 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         velocity: v (nv) at the start; only its momentum matters.
         sample_time: the control period, s.
         end: end of the motion, s.
-        content: key for motions that are integrated once (``memo.content_of``); it must cover all
-          inputs. None: each on its own.
         """
-        self._content = content
         self._model, self._driven = model, model.coordinates.driven
         self._momentum = self._stack(position).momentum(velocity)
         self._first, self._part = position, max(end, _LEAST_PART)
@@ -132,24 +127,12 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         """q (n, nq) at times (n,)."""
         part = np.maximum(np.ceil(times / self._part).astype(int) - 1, 0)
         while len(self._parts) <= part.max():
-            found = (
-                _solved(self._content, len(self._parts), motion=self)
-                if self._content
-                else self.solve()
-            )
-            self._parts.append(found)
+            self._parts.append(self.solve())
         q = np.empty((times.size, self._first.size))
         for i in set(part.tolist()):
             q[part == i] = self._parts[i](times[part == i]).T
         q[:, :4] /= np.linalg.norm(q[:, :4], axis=1, keepdims=True)
         return q
-
-
-# a run, its report and the next run use the same motion
-@memoized(maxsize=16, besides="motion")
-def _solved(content: tuple[Any, ...], index: int, *, motion: MomentumMotion) -> Any:
-    """Return a part of the motion with this content."""
-    return motion.solve()
 
 
 class FreeMotion(MomentumMotion):
@@ -161,13 +144,11 @@ class FreeMotion(MomentumMotion):
         *,
         model: PlantModel,
         sample_time: float,
-        content: tuple[Any, ...] = (),
     ) -> None:
         """Args:
         wanted: the motion.
         model: the plant with the nominal payload.
         sample_time: the control period, s.
-        content: see ``MomentumMotion``.
         """
         self._wanted = wanted
         coordinates = model.coordinates
@@ -181,7 +162,6 @@ class FreeMotion(MomentumMotion):
             velocity=v,
             sample_time=sample_time,
             end=wanted.end,
-            content=content,
         )
 
     def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ chapters 4 and 9; Siciliano and Slotine 1991, doi:10.1109/ICAR.1991.240390.)
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.multibody.tree import Frame
@@ -94,14 +94,13 @@ class ResolvedMotion(MomentumMotion):
         frame: Frame,
         model: PlantModel,
         sample_time: float,
-        content: tuple[Any, ...] = (),
     ) -> None:
         """Args:
         wanted: the motion without the frame.
         path: path of the frame.
         goal: goal of the frame.
         frame: the frame.
-        model, sample_time, content: see ``MomentumMotion``.
+        model, sample_time: see ``MomentumMotion``.
         """
         self._wanted, self._path, self._goal, self._frame = wanted, path, goal, frame
         coordinates = model.coordinates
@@ -131,7 +130,6 @@ class ResolvedMotion(MomentumMotion):
             velocity=v,
             sample_time=sample_time,
             end=path.end,
-            content=content,
         )
 
     def velocity(self, time: float, q: np.ndarray) -> np.ndarray:

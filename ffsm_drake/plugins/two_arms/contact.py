@@ -329,7 +329,7 @@ def _check_step(scenario: Scenario, flow: ContactFlow, contacts: Mapping[str, Co
     config, model = scenario.simulator_config, flow.model
     if not flow.soft.size or config.integration_scheme != "runge_kutta3":
         return
-    q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
+    q = configuration(model.coordinates, scenario.initial_posture, key="initial_posture")
     A = flow.jacobian(q)
     inner = (A @ np.linalg.solve(model.calc_mass_matrix(q), A.T))[:, flow.soft]
     zero, one = np.zeros((len(A), len(A))), np.eye(len(A))

@@ -12,7 +12,8 @@ from ffsm_drake.plugins.two_arms.chain import ClosedChain, Closure
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.scenario.contacts import Contact
 from ffsm_drake.spacecraft.coordinates import halves
-from ffsm_drake.spacecraft.nominal import Carrier, PlantModel, make_flexible_plant
+from ffsm_drake.spacecraft.craft import Craft
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.setup import BlockSetup
@@ -31,7 +32,7 @@ class ContactFlow(Continuous):
     """
 
     model: PlantModel  # with flexible parts and the true payload
-    carrier: Carrier
+    craft: Craft
     closures: tuple[Closure, ...]
     rigid: np.ndarray  # (r) constraints of rigid contacts
     soft: np.ndarray  # (s) and of compliant ones
@@ -56,7 +57,7 @@ class ContactFlow(Continuous):
 
     def with_payload(self, properties: MassProperties) -> "ContactFlow":
         """See InstantSystem."""
-        return dataclasses.replace(self, model=self.carrier.loaded(self.model, properties))
+        return dataclasses.replace(self, model=self.craft.loaded(self.model, properties))
 
     def correct(self, inputs: Arrays) -> Any:
         """See Continuous."""
@@ -108,7 +109,7 @@ class ContactFlow(Continuous):
 
 def contact_flow(setup: BlockSetup) -> ContactFlow:
     """Return the force of the contacts that close loops. Raises the errors of ``ClosedChain``."""
-    model, h = make_flexible_plant(setup.scenario, setup.grip), setup.sample_time
+    model, h = setup.craft.flexible(setup.grip), setup.sample_time
     loops = ClosedChain(model, setup.scenario, setup.grip, true=True).loops
     rows = [np.array(loop.closure.rows) for loop in loops]
 
@@ -125,7 +126,7 @@ def contact_flow(setup: BlockSetup) -> ContactFlow:
     is_rigid = of_constraints([loop.contact.kind == "rigid" for loop in loops])
     return ContactFlow(
         model=model,
-        carrier=Carrier(setup.scenario),
+        craft=setup.craft,
         closures=tuple(loop.closure for loop in loops),
         rigid=np.flatnonzero(is_rigid),
         soft=np.flatnonzero(~is_rigid),

@@ -13,8 +13,7 @@ from ffsm_drake.common.numbers import counted, short
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.scenario import HELD, Grip, Scenario
 from ffsm_drake.spacecraft.coordinates import position_error
-from ffsm_drake.spacecraft.nominal import make_true_plant
-from ffsm_drake.spacecraft.plant import coordinates_of
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample
 
 _EXAMPLE = 1e-3  # rad or m, of every joint of the closing arms, where a scenario has no error
@@ -41,18 +40,19 @@ class Growth:
         return np.linalg.norm(self.wrench[:, :3], axis=1)
 
 
-def growth(scenario: Scenario, law: ControlLaw, q: np.ndarray, grip: Grip = HELD) -> Growth:
+def growth(mission: Mission, law: ControlLaw, q: np.ndarray, grip: Grip = HELD) -> Growth:
     """The growth of the internal force at rest, without noise and disturbance.
 
     The chain moves exactly, with its dynamics at q; the law sees its errors and rates.
 
     Args:
-      scenario: the scenario, with its calibration errors.
+      mission: the mission, with its calibration errors.
       law: the law.
       q: the reference's configuration (nq).
       grip: the hands that hold the target.
     """
-    model, period = make_true_plant(scenario), scenario.sample_time
+    scenario, model = mission.scenario, mission.craft.true()
+    period = scenario.sample_time
     chain = ClosedChain(model, scenario, grip, true=True)
     error, is_example = _calibration(scenario, chain, q)
     closed = chain.closed(q)
@@ -85,7 +85,7 @@ def _calibration(scenario: Scenario, chain: ClosedChain, q: np.ndarray) -> tuple
     """The error (nv) that the law sees where base and carrying arm are on the reference, and
     whether it is an example.
     """
-    coordinates = coordinates_of(chain.model.plant)
+    coordinates = chain.model.coordinates
     bias = coordinates.vector(scenario.sensing.position_bias, key="sensing", default=0.0)
     error = position_error(q, chain.closed(q)) - bias
     if np.abs(error).max() > 1e-9:
@@ -96,10 +96,10 @@ def _calibration(scenario: Scenario, chain: ClosedChain, q: np.ndarray) -> tuple
 
 
 def growth_in_words(
-    scenario: Scenario, law: ControlLaw, q: np.ndarray, grip: Grip, poles: int
+    mission: Mission, law: ControlLaw, q: np.ndarray, grip: Grip, poles: int
 ) -> str:
     """The growth in one sentence; arguments as ``growth``, with the number of poles at one."""
-    found = growth(scenario, law, q, grip)
+    found = growth(mission, law, q, grip)
     errors = "calibration errors"
     if found.is_example:
         errors = "calibration errors, such as 1 mrad of each joint of an arm"

@@ -21,11 +21,12 @@ from ffsm_drake.plugins.two_arms.contact import CLOSING, LOSS
 from ffsm_drake.plugins.two_arms.flow import GAP, WRENCHES
 from ffsm_drake.runs.ending import MISSED
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.phases import Mission, Phase, PhasedRollout, Show, Situation, Stop
+from ffsm_drake.runs.phases import Phase, PhasedRollout, Phases, Show, Situation, Stop
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.scenario.contacts import ALL_HANDS, Grip, closing_contacts, closing_times
+from ffsm_drake.spacecraft.mission import Mission
 
 _BLOCK, _FORCE, _OTHER = "forces.contacts", "force_contacts", "force_disturbance"
 
@@ -34,22 +35,23 @@ class LaterHandsRollout(PhasedRollout):
     """A ``Rollout`` of a scenario with late hands."""
 
     @staticmethod
-    def show(scenario: Scenario) -> Show:
+    def show(mission: Mission) -> Show:
         """As that of a capture."""
-        found: Show = SERVICES.load("capture_rollout", "capture").show(scenario)
+        found: Show = SERVICES.load("capture_rollout", "capture").show(mission)
         return found
 
-    def mission(self, scenario: Scenario) -> Mission:
+    def phases(self, mission: Mission) -> Phases:
         """The phases of a capture or of a stack at rest, and one from each closing to the next."""
-        mission, times = Mission(kinds={"": Stop()}), closing_times(scenario)[1:]
+        scenario, phases = mission.scenario, Phases(kinds={"": Stop()})
+        times = closing_times(scenario)[1:]
         if scenario.grasps:
-            mission = SERVICES.load("capture_rollout", "capture").mission(self, scenario)
+            phases = SERVICES.load("capture_rollout", "capture").phases(self, mission)
         ends = [round((scenario.grasp_time + time) / scenario.sample_time) for time in times]
         kinds = {
             name: dataclasses.replace(kind, until=ends[0], then=f"hand {times[0]:g}")
             if isinstance(kind, Stop)
             else kind
-            for name, kind in mission.kinds.items()
+            for name, kind in phases.kinds.items()
         }
         for time, (until, following) in zip(
             times, [*zip(ends[1:], times[1:], strict=True), (None, None)], strict=True
@@ -59,7 +61,7 @@ class LaterHandsRollout(PhasedRollout):
                 until=until, then=then, time=time, scenario=scenario, held=self.held(time)
             )
         complete = functools.partial(_complete, scenario)
-        return dataclasses.replace(mission, kinds=kinds, complete=complete)
+        return dataclasses.replace(phases, kinds=kinds, complete=complete)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

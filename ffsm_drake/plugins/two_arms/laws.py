@@ -22,6 +22,7 @@ from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import InternalForce, closing_contacts
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel, stacked
 from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, configuration, find_body
 from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State, WrappedLaw
@@ -287,12 +288,12 @@ def make_in_chain(setup: BlockSetup, make: Callable[[BlockSetup], Any]) -> Contr
     shared = {each.name: getattr(nominal, each.name) for each in dataclasses.fields(PlantModel)}
     chain = ClosedChain(PlantModel(**shared), scenario, setup.grip, true=False)
     tree = TreeModel(**shared, chain=chain)
-    model = _minimal_model(scenario, tree)
+    model = _minimal_model(setup.mission, tree)
     following = set(tree.coordinates.names) - set(model.coordinates.names)
     own = dataclasses.replace(
         setup,
         nominal=model,
-        scenario=_without(scenario, following),
+        mission=setup.mission.of(_without(scenario, following)),
         settings=_pruned(dict(setup.settings), following),
     )
     try:
@@ -349,15 +350,16 @@ def _internal_control(given: InternalForce, scenario: Scenario, tree: TreeModel)
     )
 
 
-def _minimal_model(scenario: Scenario, tree: TreeModel) -> ChainModel:
+def _minimal_model(mission: Mission, tree: TreeModel) -> ChainModel:
     """The minimal velocities: all but joints of the closing arms, chosen where the hands grasp so
     that the others move them the least.
     """
+    scenario = mission.scenario
     if tree.grip.closed:  # where the last hand grasps
         time = scenario.grasp_time + tree.grip.closed
-        q = make_motion(scenario, tree.coordinates, tree.grip).evaluate(time)[0]
+        q = make_motion(mission, tree.grip).evaluate(time)[0]
     else:
-        q = configuration(tree.plant, scenario.initial_posture, key="initial_posture")
+        q = configuration(tree.coordinates, scenario.initial_posture, key="initial_posture")
     q, following = tree.chain.closed(q), list[int]()
     for loop in tree.chain.loops:
         jacobian = loop.closure.jacobian(tree, q)[:, loop.joints]

@@ -10,7 +10,6 @@ A late hand (``contacts.NAME.closes``) comes to its place by a polynomial of fif
 arm's joints, with the position, velocity and acceleration of the chain's motion there.
 """
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -18,10 +17,9 @@ import numpy as np
 from scipy.interpolate import BPoly, BSpline, make_interp_spline
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.so3 import turned_by
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Loop, newton_step
-from ffsm_drake.scenario import Reference, Scenario
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import ALL_HANDS, closing_times
 from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_POSITIONS,
@@ -30,8 +28,9 @@ from ffsm_drake.spacecraft.coordinates import (
     position_error,
 )
 from ffsm_drake.spacecraft.grasp import plastic_impact
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
-from ffsm_drake.spacecraft.plant import configuration, files_read, find_body
+from ffsm_drake.spacecraft.mission import Mission, planned
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.spacecraft.plant import configuration, find_body
 from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -46,32 +45,23 @@ SINGULAR = 0.01  # singular value of an arm's Jacobian below which no motion is 
 class ChainMotion(PlannedMotion):
     """A polynomial whose joints follow the target."""
 
-    def __init__(self, motion: PlannedMotion, scenario: Scenario, nominal: PlantModel) -> None:
+    def __init__(self, motion: PlannedMotion, mission: Mission, nominal: PlantModel) -> None:
         """Args:
           motion: the polynomial of the base.
-          scenario: the scenario, with the duration of that motion.
+          mission: the mission, with the duration of that motion.
           nominal: the plant with the nominal payload, in the hands of its phase.
 
         Raises ScenarioError: a hand does not reach, or an arm is singular.
         """
+        scenario = mission.scenario
         velocity, closings = None, closing_times(scenario)
         if scenario.starts_moving:
-            velocity = velocity_at_start(scenario, nominal)
+            velocity = velocity_at_start(mission, nominal)
         elif len(closings) > 1:
             velocity = np.zeros(nominal.coordinates.num_velocities)
         self._in_time = velocity is not None
-        part = dataclasses.replace(
-            Scenario(),
-            model=scenario.model,
-            payload=scenario.payload,
-            contacts=scenario.contacts,
-            initial_posture=scenario.initial_posture,
-            target_posture=scenario.target_posture,
-            # without a velocity the path parameter is all that matters
-            reference=scenario.reference if self._in_time else Reference(),
-        )
-        end = motion.end if self._in_time else 1.0
-        paths = _path(part, velocity, end)
+        # without a velocity the path parameter is all that matters
+        paths = _path(mission, velocity, motion.end if self._in_time else 1.0)
         (_, _, knots, values), *reaching = paths
         self._joints = BSpline(knots, values, k=5)
         self._rates = self._joints.derivative(), self._joints.derivative(2)
@@ -140,15 +130,15 @@ class _Reach:
         return found
 
 
-@memoized(maxsize=8, files=files_read)
+@planned
 def _path(
-    scenario: Scenario, velocity: np.ndarray | None, end: float
+    mission: Mission, velocity: np.ndarray | None, end: float
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
     """Splines of fifth order, each as joints (indices in v), their positions at the start, knots
     and coefficients: of all joints, by the path parameter or with a velocity (nv) at the start by
     time (s), to ``end``; then of the arm of each late hand, from its grasp on.
     """
-    follower = _Follower(scenario, velocity, end)
+    follower = _Follower(mission, velocity, end)
 
     def spline(
         begin: float, end: float, solve: Callable[..., Any], error: Callable[..., Any]
@@ -176,8 +166,9 @@ def _path(
 class _Follower:
     """The joints for poses of the target in the base's frame, base at the origin."""
 
-    def __init__(self, scenario: Scenario, velocity: np.ndarray | None, end: float) -> None:
-        self.model = model = make_nominal_plant(scenario)
+    def __init__(self, mission: Mission, velocity: np.ndarray | None, end: float) -> None:
+        scenario = mission.scenario
+        self.model = model = mission.craft.nominal()
         self.whole_chain = ClosedChain(model, scenario, ALL_HANDS, true=False)
         self.later = [loop for loop in self.whole_chain.loops if loop.contact.closes]
         self._chain = ClosedChain(model, scenario, true=False)
@@ -204,7 +195,7 @@ class _Follower:
 
     def _posture(self, scenario: Scenario, key: str) -> np.ndarray:
         """A configuration with the base at the origin."""
-        return self._rooted(configuration(self.model.plant, getattr(scenario, key), key=key))
+        return self._rooted(configuration(self.model.coordinates, getattr(scenario, key), key=key))
 
     @staticmethod
     def _rooted(q: np.ndarray) -> np.ndarray:
@@ -336,16 +327,16 @@ def closed_chain(
     return q, chain.jacobian(q)
 
 
-def start_of(scenario: Scenario, model: PlantModel, state: np.ndarray) -> np.ndarray:
+def start_of(mission: Mission, model: PlantModel, state: np.ndarray) -> np.ndarray:
     """The plant's own [q; v] with the loops of the true contacts closed, and no rate of the gaps.
 
     Args:
-      scenario: the scenario.
+      mission: the mission.
       model: the true plant.
       state: [q; v] with the loops open.
     """
     q, v = halves(state)
-    q, jacobian = closed_chain(scenario, model, q)
+    q, jacobian = closed_chain(mission.scenario, model, q)
     if v.any():
         v, _ = plastic_impact(model.calc_mass_matrix(q), jacobian, v)
     return np.concatenate([q, v])

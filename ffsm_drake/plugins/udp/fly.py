@@ -32,7 +32,7 @@ from ffsm_drake.plugins.udp.packets import (
     read,
 )
 from ffsm_drake.scenario import Grip, Scenario, load_scenario
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import SampledController, make_controller
 from ffsm_drake.systems.controllers.law import State
 
@@ -54,11 +54,12 @@ class Pilot:
 
     def __init__(self, scenario: Scenario) -> None:
         """Raises the errors of ``make_controller``, and FfsmError: it is not a control law."""
+        mission = Mission(scenario)
         self._controllers = {
-            holds: _controller(scenario, Grip(bool(holds)))
+            holds: _controller(mission, Grip(bool(holds)))
             for holds in ((0, HOLDS) if scenario.grasps else (HOLDS,))
         }
-        coordinates = make_nominal_plant(scenario).coordinates
+        coordinates = mission.craft.coordinates
         self._sizes = len(coordinates.position_names), len(coordinates.names)
         self._period = scenario.sample_time
         self._flights = dict[int, _Flight]()  # by run, the one of the last request last
@@ -123,10 +124,10 @@ class Pilot:
         return reply
 
 
-def _controller(scenario: Scenario, grip: Grip) -> SampledController:
-    controller = make_controller(scenario, make_nominal_plant(scenario, grip))
+def _controller(mission: Mission, grip: Grip) -> SampledController:
+    controller = make_controller(mission, mission.craft.nominal(grip))
     if not isinstance(controller, SampledController):
-        raise FfsmError(f"{scenario.controller} is a Drake system, not a control law")
+        raise FfsmError(f"{mission.scenario.controller} is a Drake system, not a control law")
     return controller
 
 

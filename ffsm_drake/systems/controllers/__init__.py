@@ -1,6 +1,5 @@
 """Controllers: control laws as pure functions, and the one system around them."""
 
-import dataclasses
 from typing import Any, Protocol
 
 from pydrake.systems.framework import System
@@ -11,6 +10,7 @@ from ffsm_drake.scenario import CommandFilter, Scenario
 from ffsm_drake.scenario.contacts import closing_contacts
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import (
     ControlLaw,
@@ -74,23 +74,23 @@ def controller_names() -> tuple[str, ...]:
     return block_names("controller")
 
 
-def controller_setup(scenario: Scenario, nominal: PlantModel) -> BlockSetup:
+def controller_setup(mission: Mission, nominal: PlantModel) -> BlockSetup:
     """Return the setup of the scenario's controller, with a model of the driven coordinates."""
     return BlockSetup(
-        name=scenario.controller_key,
-        scenario=scenario,
+        name=mission.scenario.controller_key,
+        mission=mission,
         nominal=driven_model(nominal),
-        settings=scenario.gains,
+        settings=mission.scenario.gains,
     )
 
 
 def make_controller(
-    scenario: Scenario, nominal: PlantModel, factory: Factory | None = None
+    mission: Mission, nominal: PlantModel, factory: Factory | None = None
 ) -> System:
-    """Return the scenario's controller, a system with its name (the part after the colon).
+    """Return the controller of a mission, a system with its name (the part after the colon).
 
     Args:
-      scenario: names the controller and its gains.
+      mission: its scenario names the controller and the gains.
       nominal: the plant with the nominal payload; the controller's own.
       factory: replaces the scenario's choice: BlockSetup -> control law or Drake system. The
         system keeps the scenario's name.
@@ -100,10 +100,8 @@ def make_controller(
       BlockError: a user-supplied controller cannot be loaded or built.
     """
     if factory is not None:
-        scenario = dataclasses.replace(
-            scenario, controller=getattr(factory, "__name__", type(factory).__name__)
-        )
-    setup = controller_setup(scenario, nominal)
+        mission = mission.flown_by(controller=getattr(factory, "__name__", type(factory).__name__))
+    scenario, setup = mission.scenario, controller_setup(mission, nominal)
     _check_other_gains(scenario, setup.coordinates)
     if closing_contacts(scenario, nominal.grip) and scenario.chain.law != "plain":
         in_chain = SERVICES.load("closed_chain_law", "chain.law")
@@ -134,12 +132,12 @@ def make_controller(
     return made
 
 
-def make_law(scenario: Scenario, nominal: PlantModel) -> Any:
-    """Return the control law of the scenario, such as TimeDelayControl.
+def make_law(mission: Mission, nominal: PlantModel) -> Any:
+    """Return the control law of a mission, such as TimeDelayControl.
 
     Raises: the errors of ``make_controller``.
     """
-    return _make(controller_setup(scenario, nominal), None)
+    return _make(controller_setup(mission, nominal), None)
 
 
 def gain_vectors(scenario: Scenario, coordinates: Coordinates) -> dict[str, Any]:

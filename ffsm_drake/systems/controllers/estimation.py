@@ -14,8 +14,9 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError, one_line
 from ffsm_drake.common.registrations import Registry
-from ffsm_drake.scenario import HELD, Grip, Scenario
+from ffsm_drake.scenario import HELD, Grip
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers.law import Sample, State
 
 
@@ -39,12 +40,12 @@ class Estimator(abc.ABC):
     @abc.abstractmethod
     def make(
         cls,
-        scenario: Scenario,
+        mission: Mission,
         coordinates: Coordinates,
         jacobian: np.ndarray | None,
         grip: Grip,
     ) -> "Estimator":
-        """Return the estimator of a scenario; see ``make_estimator``. Raises LinAlgError without a
+        """Return the estimator of a mission; see ``make_estimator``. Raises LinAlgError without a
         stationary filter.
         """
 
@@ -89,13 +90,13 @@ class OneSampleEstimator(Estimator):
     @classmethod
     def make(
         cls,
-        scenario: Scenario,
+        mission: Mission,
         coordinates: Coordinates,
         jacobian: np.ndarray | None,
         grip: Grip,
     ) -> Self:
         size = len(coordinates.names if jacobian is None else jacobian)
-        return cls(sample_time=scenario.sample_time, num_velocities=size)
+        return cls(sample_time=mission.scenario.sample_time, num_velocities=size)
 
     def initial_state(self) -> State:
         return {"delayed_velocity": np.zeros(self.num_velocities)}
@@ -121,13 +122,13 @@ ESTIMATORS = Registry[type[Estimator]]("estimators")
 
 
 def make_estimator(
-    scenario: Scenario,
+    mission: Mission,
     coordinates: Coordinates,
     jacobian: np.ndarray | None = None,
     grip: Grip = HELD,
 ) -> Estimator:
-    """Return the scenario's estimator, for the spacecraft's coordinates, or for m coordinates with
-    velocities J v and the Jacobian J (m, nv).
+    """Return the estimator of a mission, for the spacecraft's coordinates, or for m coordinates
+    with velocities J v and the Jacobian J (m, nv).
 
     The noise and walk of a Kalman filter in such coordinates follow through J from the
     spacecraft's, taken as independent. An estimator without ``by_axis`` always uses the
@@ -138,9 +139,9 @@ def make_estimator(
     """
     try:
         kind: type[Estimator] = OneSampleEstimator
-        if (name := scenario.estimator.kind) != "one_sample":
+        if (name := mission.scenario.estimator.kind) != "one_sample":
             kind = ESTIMATORS.load(name, f"estimator.kind: {name}")
-        return kind.make(scenario, coordinates, jacobian, grip)
+        return kind.make(mission, coordinates, jacobian, grip)
     except np.linalg.LinAlgError as error:
         remedy = (
             "bring walk and noises, or periods and delays, of position and velocity closer together"

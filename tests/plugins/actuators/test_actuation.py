@@ -14,6 +14,7 @@ from refusals import assert_refused
 from ffsm_drake import make_closed_loop, make_nominal_plant, simulate
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.spacecraft.coordinates import error_rate, position_error
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import Sample, SampledController, gain_vectors
 from ffsm_drake.systems.controllers.estimation import make_estimator
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
@@ -138,7 +139,7 @@ def replay(record, *, applied):
     data, scenario = record.dataset, record.scenario
     nominal = make_nominal_plant(scenario)
     gains = gain_vectors(dataclasses.replace(scenario, controller="tdc"), nominal.coordinates)
-    estimator = make_estimator(scenario, nominal.coordinates)
+    estimator = make_estimator(make_mission(scenario), nominal.coordinates)
     state = estimator.initial_state()
     names = (
         "measured_position",

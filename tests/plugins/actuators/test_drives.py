@@ -19,7 +19,7 @@ from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.runs.simulate import prepare
 from ffsm_drake.scenario import Drives, scenario_from_dict
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.craft import make_true_plant
 
 BASE, LINK = 10.0, 5.0  # kg m^2, about the axis; the link with its payload
 REDUCED = BASE * LINK / (BASE + LINK)

@@ -12,8 +12,8 @@ from pydrake.math import RigidTransform
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.plugins.actuators.plume import PlumeField, allocated, rays_of, returned_shares
 from ffsm_drake.scenario import Plume, thrusters_of
+from ffsm_drake.spacecraft.craft import make_true_plant
 from ffsm_drake.spacecraft.distance import Solids
-from ffsm_drake.spacecraft.nominal import make_true_plant
 from ffsm_drake.spacecraft.plant import configuration
 
 LAYOUT = "actuation.thrusters.layout=16x22N"
@@ -91,7 +91,7 @@ def field_of(scenario, **plume):
     model = make_true_plant(scenario)
     units = thrusters_of(scenario.actuation.thrusters)
     settings = dataclasses.replace(scenario.actuation.thrusters.plume, **plume)
-    q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
+    q = configuration(model.coordinates, scenario.initial_posture, key="initial_posture")
     return PlumeField(settings, [*units.values()], model, scenario.model), list(units), q
 
 

@@ -23,8 +23,8 @@ from ffsm_drake.plugins.actuators.wheel_set import WheelSet
 from ffsm_drake.plugins.report.part_panels import part_tables
 from ffsm_drake.scenario import Wheel, Wheels
 from ffsm_drake.show.results import results_of
+from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.spacecraft.plant import models_dir
 from ffsm_drake.systems.limits import uneven_remarks
 

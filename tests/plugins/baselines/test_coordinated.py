@@ -6,6 +6,7 @@ from own_loop import EXACT, FIRST, SWING, flown, resting
 
 from ffsm_drake import load_scenario, make_nominal_plant
 from ffsm_drake.spacecraft.free_floating import free_floating
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import make_law
 
 
@@ -16,7 +17,7 @@ def scenario(*overrides):
 @pytest.mark.smoke
 def test_the_mass_matrix_has_two_blocks():
     given = scenario()
-    model, law = make_nominal_plant(given), make_law(given, make_nominal_plant(given))
+    model, law = make_nominal_plant(given), make_law(make_mission(given), make_nominal_plant(given))
     random = np.random.default_rng(0)
     q = np.concatenate([[1.0, 0.0, 0.0, 0.0], random.normal(size=8)])
     H = model.calc_mass_matrix(q)
@@ -80,7 +81,7 @@ def test_its_energy_falls(moving):
         "k_d: {all: 20, base_position: 300}}",
     )
     model = make_nominal_plant(given)
-    law = make_law(given, model)
+    law = make_law(make_mission(given), model)
     reference = SWING if moving else resting
     start = np.concatenate([FIRST, np.full(11, 0.05)])
     course = flown(given, reference, 3.0, start=start)

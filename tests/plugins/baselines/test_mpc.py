@@ -11,6 +11,7 @@ from scipy.optimize import lsq_linear
 
 from ffsm_drake import load_scenario, make_nominal_plant, simulate
 from ffsm_drake.scenario import thrusters_of
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import Sample, make_law
 
 T = 0.1  # s
@@ -19,7 +20,7 @@ A, B = np.array([[1.0, T], [0.0, 1.0]]), np.array([-0.5 * T * T, -T])
 
 def law_of(*overrides):
     scenario = mpc(*overrides)
-    return make_law(scenario, make_nominal_plant(scenario))
+    return make_law(make_mission(scenario), make_nominal_plant(scenario))
 
 
 def sample_of(error, rate):

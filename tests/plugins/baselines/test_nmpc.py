@@ -8,6 +8,7 @@ from pydrake.math import RotationMatrix
 from scipy.optimize import minimize
 
 from ffsm_drake import load_scenario, make_nominal_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import Sample, make_law
 
 LIMITS = "actuation.limit={base_rotation: 40, base_position: 30, joints: 15}"
@@ -16,7 +17,7 @@ T, STEPS = 0.1, 5
 
 def law_of(name, *overrides):
     scenario = load_scenario("postcapture", [EXACT, f"controller={name}", *overrides])
-    return make_law(scenario, make_nominal_plant(scenario))
+    return make_law(make_mission(scenario), make_nominal_plant(scenario))
 
 
 def turned(q, change):

@@ -10,6 +10,7 @@ from ffsm_drake.plugins.baselines.fixed_time import FixedTime
 from ffsm_drake.plugins.baselines.powers import signed_power, slope
 from ffsm_drake.plugins.baselines.super_twisting import SuperTwisting
 from ffsm_drake.plugins.baselines.terminal_sliding_mode import TerminalSlidingMode
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import gain_vectors, make_law
 from ffsm_drake.systems.controllers.laws.aismc import Aismc
 from ffsm_drake.systems.controllers.laws.asmc import Asmc
@@ -158,7 +159,7 @@ def test_powers_out_of_range_are_refused(override, said):
     controller = override.partition(".")[0]
     scenario = load_scenario("postcapture", [f"controller={controller}", f"controllers.{override}"])
     with pytest.raises(BlockError, match=said):
-        make_law(scenario, make_nominal_plant(scenario))
+        make_law(make_mission(scenario), make_nominal_plant(scenario))
 
 
 def exponent(unit, base, law):

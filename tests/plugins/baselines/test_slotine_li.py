@@ -15,6 +15,7 @@ from ffsm_drake.plugins.baselines.payload import Payload, force_of
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.mass_properties import spatial_inertia
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import controller_setup
 
 LIGHT = MassProperties(mass=80.0, center_of_mass=[0.0, 0.0, 0.0], inertia=[12.0, 12.0, 12.0])
@@ -36,7 +37,7 @@ def model_with(properties):
     payload = dataclasses.replace(scenario.payload, nominal=properties)
     scenario = dataclasses.replace(scenario, payload=payload, controller="slotine_li")
     nominal = make_nominal_plant(scenario)
-    return nominal, Payload.from_setup(controller_setup(scenario, nominal))
+    return nominal, Payload.from_setup(controller_setup(make_mission(scenario), nominal))
 
 
 def drawn(seed=0):

@@ -39,8 +39,9 @@ from ffsm_drake.plugins.benchmark.page import (
 from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.scenario import override_scenario, thrusters_of
 from ffsm_drake.show.table_files import write_table
+from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.spacecraft.free_floating import free_floating
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.mission import make_mission
 
 LAW = """
 import dataclasses
@@ -229,7 +230,7 @@ def fastest(mission, rng, *, pieces=8):
     """
     scenario = mission.scenario
     model = make_nominal_plant(scenario)
-    contact = planned_contact(scenario, model)
+    contact = planned_contact(make_mission(scenario), model)
     stack = free_floating(model, contact.q)
     most = np.linalg.norm(stack.center_of_mass)  # a lever that there is
     momentum = -np.concatenate([contact.spin_after, contact.momentum_after[3:]])
@@ -288,7 +289,7 @@ def test_least_propellant_of_a_capture():
     lever; none where nothing is to be taken out.
     """
     scenario = load_mission("capture_on_thrusters").scenario
-    contact = planned_contact(scenario, make_nominal_plant(scenario))
+    contact = planned_contact(make_mission(scenario), make_nominal_plant(scenario))
     linear = np.linalg.norm(contact.momentum_after[3:])
     assert least_propellant(scenario) == pytest.approx(linear / (226.1 * 9.80665))
     alone = override_scenario(scenario, ["actuation.wheels=null"])

@@ -9,7 +9,8 @@ from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.plugins.task_space.torque_against_momentum import angular_momentum
 from ffsm_drake.runs.metrics import drift_metrics
 from ffsm_drake.runs.rollout import make_rollout
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant
+from ffsm_drake.spacecraft.mission import make_mission
 
 # ETS-VII in OnOrbitROS: base, then links: mass, inertia (xx, yy, zz, xy, xz, yz), joint's place,
 # axis, and fixed rotation (axis, quarter turns). Centres of mass stand at the joints.
@@ -124,7 +125,7 @@ def test_the_least_time_of_envisat():
     mission = load_mission("envisat")
     # the links' own inertia: less than a thousandth
     model = make_nominal_plant(mission.scenario)
-    linear = planned_contact(mission.scenario, model).momentum_after[3:]
+    linear = planned_contact(make_mission(mission.scenario), model).momentum_after[3:]
     turned_by_forces = np.cross(-center, linear)[2]
     held = bounds_of(mission)["held"]
     assert held == pytest.approx((about_z * RATE - turned_by_forces) / 300.0, rel=1e-3)

@@ -12,6 +12,7 @@ from ffsm_drake.plugins.campaign.statistics import agreement, read_table
 from ffsm_drake.plugins.campaign.store import open_store
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import load_scenario
+from ffsm_drake.spacecraft.mission import make_mission
 
 # An ordinary case, one whose payload is three times as heavy as it is thought to be, one that
 # tumbles too fast to be stopped within the limits, and one with parts nearer to each other than
@@ -135,7 +136,7 @@ def test_the_load_is_the_peak_of_a_run_without_limits_and_noise(duration, end):
         load_scenario("tumbling_capture", [*sets, f"reference.duration={duration}", *free, *noise])
     ).run()
     share = np.abs(log.generalized_force) / np.repeat([10.0, 22.0, 50.0], [3, 3, 5])
-    assert predict(scenario)[-1] == pytest.approx(share.max(), rel=0.1)
+    assert predict(make_mission(scenario))[-1] == pytest.approx(share.max(), rel=0.1)
 
 
 @pytest.mark.smoke

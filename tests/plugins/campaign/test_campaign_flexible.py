@@ -10,6 +10,7 @@ from ffsm_drake.plugins.campaign.cases import make_cases, scenario_of
 from ffsm_drake.plugins.campaign.evaluate import metrics_of
 from ffsm_drake.plugins.campaign.prediction import predict
 from ffsm_drake.plugins.campaign.spec import load_spec, shipped_campaigns
+from ffsm_drake.spacecraft.mission import make_mission
 
 PANELS = [f"model.flexible.{name}" for name in ("port", "starboard")]
 SHORT = {"duration": 0.4, "reference.duration": 0.2, "divergence_speed": 100.0}
@@ -58,4 +59,4 @@ def test_deflections_are_columns(tmp_path):
     figures = simulate(scenario, check_stability=False).metrics["hidden"]
     assert peak == pytest.approx(max(figures["peak"].values()))
     assert residual == pytest.approx(max(figures["residual_amplitude"].values()))
-    assert radius == pytest.approx(predict(scenario)[0])
+    assert radius == pytest.approx(predict(make_mission(scenario))[0])

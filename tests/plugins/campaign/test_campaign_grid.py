@@ -16,6 +16,7 @@ from ffsm_drake.plugins.campaign.statistics import find
 from ffsm_drake.plugins.campaign.store import open_store
 from ffsm_drake.plugins.design.stability.planned_dynamics import make_demand
 from ffsm_drake.plugins.design.stability.prediction import predict
+from ffsm_drake.spacecraft.mission import make_mission
 
 SIGMAS = (1e-5, 1e-4)  # rad/s and m/s
 DURATION = 1.0  # s
@@ -112,7 +113,7 @@ def test_a_point_is_what_simulate_gives(database, points):
 def test_effort_of_the_published_estimate_grows_with_the_square_of_the_noise(points, controller):
     overrides = [f"duration={DURATION}", f"controller={controller}", "sensing.velocity_noise=1e-4"]
     scenario = load_scenario("postcapture", overrides)
-    ideal = make_demand(scenario).ideal_isv
+    ideal = make_demand(make_mission(scenario)).ideal_isv
     small, large = (
         points["one_sample", "published", sigma, controller]["isv"] - ideal
         for sigma in ("1e-05", "0.0001")

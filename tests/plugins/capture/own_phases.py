@@ -26,7 +26,7 @@ def other_law(setup):
 
 def come(setup):
     """From some metres away to where the approach begins."""
-    goal, by = approach_posture(setup.scenario), setup.settings["by"]
+    goal, by = approach_posture(setup.mission), setup.settings["by"]
     away = [place + offset for place, offset in zip(goal.base_position, by, strict=True)]
     motion = PolynomialMotion(
         coordinates=setup.coordinates,
@@ -44,8 +44,11 @@ class Broken(PlannedMotion):
 
     def __init__(self, setup, fault):
         super().__init__(coordinates=setup.coordinates, sample_time=setup.sample_time, end=1.0)
-        goal = approach_posture(setup.scenario)
-        self._fault, self._goal = fault, configuration(setup.nominal.plant, goal, key="posture")
+        goal = approach_posture(setup.mission)
+        self._fault, self._goal = (
+            fault,
+            configuration(setup.nominal.coordinates, goal, key="posture"),
+        )
 
     def rows(self, times):
         if self._fault == "raises":

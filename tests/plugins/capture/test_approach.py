@@ -13,7 +13,8 @@ from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.runs.limits import CLEARANCE, INSTANTS, closest_of, distances_in, limits_left
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import EMPTY, planned_part
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.reference import make_motion
 
@@ -30,11 +31,11 @@ def tumbling(rate, *more):
 def planned(scenario, instants=60):
     """Times, motion [q; v; a] and the target's poses of a planned approach."""
     model = make_nominal_plant(scenario, EMPTY)
-    path = Aim(scenario).path[:, :7]
+    path = Aim(make_mission(scenario)).path[:, :7]
     samples = np.linspace(0, len(path) - 1, instants).round().astype(int)
     times = samples * scenario.sample_time
     nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
-    rows = make_motion(scenario, model.coordinates, EMPTY).rows(times)
+    rows = make_motion(make_mission(scenario), EMPTY).rows(times)
     return model, times, np.split(rows, [nq, nq + nv], axis=1), path[samples]
 
 
@@ -65,16 +66,16 @@ def test_the_planned_approach_keeps_clear_and_is_gentle(seed):
     )
     assert share.max() <= 0.55
     # it ends where it would have from the posture given
-    assert np.allclose(q[-1, 7:], Aim(scenario).reference[7:12], atol=0.05)
+    assert np.allclose(q[-1, 7:], Aim(make_mission(scenario)).reference[7:12], atol=0.05)
 
 
 @pytest.mark.long
 def test_the_start_does_not_depend_on_the_law():
     scenario = tumbling([0.05, 0.0, 0.0])
-    posture = approach_posture(scenario)
+    posture = approach_posture(make_mission(scenario))
     assert posture != scenario.capture.approach.posture
-    assert approach_posture(scenario.replace(controller="tdc")) == posture
-    assert given_approach(scenario).start == "given"
+    assert approach_posture(make_mission(scenario.replace(controller="tdc"))) == posture
+    assert given_approach(make_mission(scenario)).start == "given"
 
 
 @pytest.mark.parametrize("start", ["clear", "given"])
@@ -91,7 +92,7 @@ def test_the_planned_part_moves_the_target_as_the_run_does(start, seed):
         ],
     )
     model = make_nominal_plant(scenario)
-    contact = planned_contact(scenario, model)
+    contact = planned_contact(make_mission(scenario), model)
     part = planned_part(scenario, with_target=start == "given")
     _, path = target_path(scenario, model, contact)
     assert np.array_equal(target_path(part, model, contact)[1], path)
@@ -104,7 +105,7 @@ def test_the_planned_clearance_is_that_from_the_turning_target():
     scenario = load_scenario("tumbling_capture", given)
     _, times, (q, *_), path = planned(scenario, INSTANTS)
     here = list(closest_of(scenario, times, q, target=path))
-    assert plan_clearance(scenario)[: len(here)] == here
+    assert plan_clearance(make_mission(scenario))[: len(here)] == here
 
 
 @draws
@@ -119,14 +120,14 @@ def test_the_margin_is_kept_beyond_the_clearance(seed):
 @pytest.mark.long
 def test_a_margin_that_cannot_be_kept_is_refused():
     with pytest.raises(ScenarioError, match=r"keeps 0\.51 m from the target"):
-        approach_posture(tumbling([0.03, 0.02, -0.03], "capture.approach.margin=0.5"))
+        approach_posture(make_mission(tumbling([0.03, 0.02, -0.03], "capture.approach.margin=0.5")))
 
 
 @pytest.mark.slow
 def test_a_target_that_turns_too_fast_is_refused_in_one_line():
     scenario = tumbling([0.0, 1.5, 0.0])
     with pytest.raises(ScenarioError, match=r"capture\.approach\.start: no start within 1 m") as no:
-        approach_posture(scenario)
+        approach_posture(make_mission(scenario))
     assert "\n" not in str(no.value)
 
 
@@ -150,13 +151,14 @@ def test_what_the_arm_cannot_follow_is_met_half_way_through_the_closing():
     at_once = load_scenario("tumbling_capture", [f"capture.rate={rate}"])
     closing = at_once.replace(capture={"closing": {"time": 0.4, "hold": 0.6}})
     model = make_nominal_plant(at_once)
-    contact = planned_contact(at_once, model)
+    contact = planned_contact(make_mission(at_once), model)
     arm = model.calc_jacobian(contact.q, model.plant.GetBodyByName("debris").body_frame())
     left = contact.target_velocity - arm @ contact.velocity  # rad/s and m/s
     assert np.linalg.norm(left[:3]) > 0.01
     samples = round(1.0 / at_once.sample_time)
     turned = [
-        Aim(each).path[-1 - samples, :4] * np.sign(Aim(each).path[-1 - samples, 0])
+        Aim(make_mission(each)).path[-1 - samples, :4]
+        * np.sign(Aim(make_mission(each)).path[-1 - samples, 0])
         for each in (at_once, closing)
     ]
     angle = 2.0 * np.linalg.norm(turned[0] - turned[1])

@@ -25,8 +25,9 @@ from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.simulate import make_record
 from ffsm_drake.scenario import NOTHING, MassProperties, Payload, Scenario
 from ffsm_drake.show.results import results_of
+from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
-from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import make_law
 
 SCENARIO = load_scenario("tumbling_capture", ["duration=6", *SHORT])
@@ -263,13 +264,13 @@ def test_accelerations_go_on_as_the_forces_that_they_took(kind, controller):
     held = make_nominal_plant(scenario)
     alone = make_nominal_plant(scenario)
     set_payload(alone.plant, alone.context, body="debris::debris", properties=NOTHING)
-    after, before = make_law(scenario, held), make_law(scenario, alone)
+    after, before = make_law(make_mission(scenario), held), make_law(make_mission(scenario), alone)
     rng = np.random.default_rng(4)
     state = {
         name: rng.uniform(0.1, 1.0, np.shape(value))
         for name, value in before.initial_state().items()
     }
-    contact = planned_contact(scenario, make_true_plant(scenario))
+    contact = planned_contact(make_mission(scenario), make_true_plant(scenario))
     q, v_d = contact.q, contact.grasp.velocity
     new = after.resume(state, before, np.concatenate([q, v_d]))
     assert set(new) == set(state)
@@ -354,11 +355,11 @@ def test_without_an_approach_it_begins_with_the_grasp():
         SCENARIO, ["capture.approach=null", "duration=1", "initial_velocity.joint_2=0.001"]
     )
     record = simulate(scenario, check_stability=False)
-    contact = planned_contact(scenario, make_true_plant(scenario))
+    contact = planned_contact(make_mission(scenario), make_true_plant(scenario))
     assert set(record.dataset["phase"].values.tolist()) == {"stop"}
     expected = contact.grasp.velocity + 1e-3 * (np.arange(11) == 7)
     assert_allclose(record.dataset["velocity"].values[0], expected, atol=1e-15)
-    planned = planned_contact(scenario, make_nominal_plant(scenario)).grasp.velocity
+    planned = planned_contact(make_mission(scenario), make_nominal_plant(scenario)).grasp.velocity
     assert_allclose(record.dataset["desired_velocity"].values[0], planned, atol=1e-15)
     assert np.abs(planned - contact.grasp.velocity).max() > 1e-4  # which the controller is not told
     assert record.grasp["time"] == 0.0

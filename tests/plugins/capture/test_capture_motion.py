@@ -14,7 +14,8 @@ from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.common.so3 import rotation_vector_motion
 from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.scenario import EMPTY
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import models_dir
 from ffsm_drake.systems.reference import make_motion
 
@@ -30,7 +31,11 @@ LIMITS = "actuation.limit={base_position: 22, base_rotation: 10, joints: 5}"
 def motion_of(*overrides):
     scenario = load_scenario("flight_sensors", [*TUMBLE, *overrides])
     nominal = make_nominal_plant(scenario)
-    return make_motion(scenario, nominal.coordinates), planned_contact(scenario, nominal), scenario
+    return (
+        make_motion(make_mission(scenario)),
+        planned_contact(make_mission(scenario), nominal),
+        scenario,
+    )
 
 
 def parts(row):
@@ -88,7 +93,7 @@ def test_the_servicer_alone_moves_as_planned_with_the_target():
     approach = "capture.approach={duration: 12, posture: {joints: {joint_2: -1}}}"
     center = "payload.truth.center_of_mass=[0.1, 0.05, 0]"
     motion, _, scenario = motion_of("duration=40", approach, center)
-    alone = make_motion(scenario, motion.coordinates, EMPTY)
+    alone = make_motion(make_mission(scenario), EMPTY)
     times = np.array([0.0, 3.0, 11.99])
     assert_allclose(alone.rows(times), motion.rows(times), atol=1e-15)
 

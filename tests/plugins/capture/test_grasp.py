@@ -16,8 +16,10 @@ from ffsm_drake.plugins.capture.compliant import compliant_grasp
 from ffsm_drake.plugins.capture.contact import contact_at, planned_contact, target_twist
 from ffsm_drake.plugins.capture.plastic import plastic_grasp
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix, load_scenario
+from ffsm_drake.spacecraft.craft import make_true_plant
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
-from ffsm_drake.spacecraft.nominal import PlantModel, make_true_plant
+from ffsm_drake.spacecraft.mission import make_mission
+from ffsm_drake.spacecraft.nominal import PlantModel
 
 AXIS = np.array([0.6, 0.48, 0.64])
 
@@ -133,7 +135,7 @@ def test_a_contact_is_told_about_the_points_that_it_names(model: PlantModel) -> 
         5.0, "capture.joints=braked", "payload.truth.center_of_mass=[0.1, 0.2, -0.1]"
     )
     model, origin = make_true_plant(scenario), np.zeros(3)
-    contact = planned_contact(scenario, model)
+    contact = planned_contact(make_mission(scenario), model)
     plant, context = model.plant, model.context
     assert not contact.grasp.velocity[6:].any()
     plant.SetPositionsAndVelocities(context, np.concatenate([contact.q, contact.grasp.velocity]))
@@ -190,7 +192,7 @@ PROTOTYPE = {
 @pytest.mark.parametrize("degrees", PROTOTYPE)
 def test_figures_are_those_of_a_prototype(degrees: int) -> None:
     scenario = tumbling(degrees)
-    contact = planned_contact(scenario, make_true_plant(scenario))
+    contact = planned_contact(make_mission(scenario), make_true_plant(scenario))
     joints, linear, angular, before, after = PROTOTYPE[degrees]
     assert np.degrees(np.abs(contact.velocity[6:]).max()) == pytest.approx(joints, abs=0.05)
     assert np.linalg.norm(contact.grasp.impulse[3:]) == pytest.approx(linear, abs=0.005)
@@ -201,7 +203,7 @@ def test_figures_are_those_of_a_prototype(degrees: int) -> None:
 
 def test_base_and_joints_together_follow_the_grasp_frame_exactly(model: PlantModel) -> None:
     scenario = tumbling(5.0, "capture.servicer=track_all", "capture.velocity=[0.01, 0.02, -0.03]")
-    contact = planned_contact(scenario, make_true_plant(scenario))
+    contact = planned_contact(make_mission(scenario), make_true_plant(scenario))
     assert_allclose(contact.impulse, 0.0, atol=1e-11)
     assert contact.grasp.energy_after == pytest.approx(contact.grasp.energy_before, rel=1e-12)
     dear = tumbling(
@@ -209,7 +211,7 @@ def test_base_and_joints_together_follow_the_grasp_frame_exactly(model: PlantMod
         "capture.servicer=track_all",
         "capture.tracking_cost={base_rotation: 100, base_position: 100}",
     )
-    moves = planned_contact(dear, make_true_plant(dear))
+    moves = planned_contact(make_mission(dear), make_true_plant(dear))
     assert_allclose(moves.impulse, 0.0, atol=1e-10)  # as exactly, with less of the base
     assert np.abs(moves.velocity[:3]).max() < 0.5 * np.abs(contact.velocity[:3]).max()
 
@@ -234,10 +236,10 @@ def test_a_target_of_several_bodies_is_refused() -> None:
         match=r"payload\.body: 'servicer::base' is a body of the "
         r"servicer; a capture needs",
     ):
-        planned_contact(scenario, make_true_plant(tumbling(1.0)))
+        planned_contact(make_mission(scenario), make_true_plant(tumbling(1.0)))
     unknown = tumbling(1.0, "capture.tracking_cost.joint_9=2")
     with pytest.raises(ScenarioError, match=r"capture\.tracking_cost\.joint_9: unknown coordinate"):
-        planned_contact(unknown, make_true_plant(unknown))
+        planned_contact(make_mission(unknown), make_true_plant(unknown))
 
 
 def test_the_base_has_no_brakes() -> None:
@@ -257,7 +259,7 @@ def test_a_stiff_gripper_gives_the_impulse_of_the_plastic_grasp(joints: str) -> 
     scenario = tumbling(
         5.0, "capture.compliance.stiffness=5e4", f"capture.joints={joints}", "capture.servicer=rest"
     )
-    contact = planned_contact(scenario, make_true_plant(scenario))
+    contact = planned_contact(make_mission(scenario), make_true_plant(scenario))
     assert contact.compliant is not None
     # The brakes act on joints that are at rest already.
     assert_allclose(contact.compliant.impulse, contact.impulse, rtol=1e-9, atol=1e-12)
@@ -268,7 +270,7 @@ def test_a_stiff_gripper_gives_the_impulse_of_the_plastic_grasp(joints: str) -> 
         "capture.compliance={stiffness: 2e5, damping: 2e3, rotational_stiffness: 4e4, "
         "rotational_damping: 1000}",
     )
-    other = planned_contact(stiffer, make_true_plant(stiffer)).compliant
+    other = planned_contact(make_mission(stiffer), make_true_plant(stiffer)).compliant
     assert other is not None
     # Four times as stiff, twice as damped: everything happens twice as fast, with twice the force.
     assert other.time == pytest.approx(0.5 * contact.compliant.time, rel=0.02)
@@ -332,7 +334,7 @@ def mujoco_weld(
 def test_it_is_the_limit_of_mujocos_weld() -> None:
     scenario = tumbling(5.0)
     model = make_true_plant(scenario)
-    contact = planned_contact(scenario, model)
+    contact = planned_contact(make_mission(scenario), model)
     model.plant.SetPositions(model.context, contact.q)
     X_WP = model.plant.GetBodyByName("debris").EvalPoseInWorld(model.context)
     jump = np.linalg.norm(contact.grasp.velocity - contact.velocity)

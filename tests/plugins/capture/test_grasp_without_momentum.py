@@ -11,6 +11,7 @@ import pytest
 from ffsm_drake import load_scenario, make_nominal_plant, simulate
 from ffsm_drake.plugins.capture.approach import planned_approach
 from ffsm_drake.plugins.capture.contact import planned_contact
+from ffsm_drake.spacecraft.mission import make_mission
 
 IDEAL = (
     "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}",
@@ -25,7 +26,7 @@ def scenario(servicer, *overrides, name="tumbling_capture"):
 
 
 def contact(given):
-    return planned_contact(given, make_nominal_plant(given))
+    return planned_contact(make_mission(given), make_nominal_plant(given))
 
 
 def spin_of_target():
@@ -54,7 +55,7 @@ def test_an_arm_of_seven_joints_leaves_no_linear_momentum():
 def test_the_approach_ends_with_the_velocity_of_the_grasp():
     """Its loop knows nothing of the target, whose momentum it nevertheless cancels."""
     given = scenario("detumble")
-    motion = planned_approach(given)
+    motion = planned_approach(make_mission(given))
     np.testing.assert_allclose(
         motion.evaluate(motion.end)[1], contact(given).velocity, rtol=0.0, atol=1e-15
     )

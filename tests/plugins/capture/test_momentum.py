@@ -17,8 +17,10 @@ from ffsm_drake.plugins.capture.momentum import MomentumBudget, momentum_budget,
 from ffsm_drake.plugins.design.remarks import plan_remarks
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.tables import results_table
+from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.mission import make_mission
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import models_dir
 
 # From the grasp on, the payload known, without disturbance.
@@ -56,7 +58,7 @@ def known(*overrides: str) -> Scenario:
 
 
 def told(scenario: Scenario) -> MomentumBudget:
-    budget = momentum_budget(scenario)
+    budget = momentum_budget(make_mission(scenario))
     assert budget is not None
     return budget
 
@@ -184,7 +186,7 @@ def test_what_wheels_hold_is_what_their_directions_say() -> None:
 
 def stack_at_grasp(scenario: Scenario) -> tuple[PlantModel, np.ndarray, np.ndarray]:
     model = make_nominal_plant(scenario)
-    contact = planned_contact(scenario, model)
+    contact = planned_contact(make_mission(scenario), model)
     return model, contact.q, contact.spin_after
 
 
@@ -205,7 +207,7 @@ def test_the_arm_holds_the_momentum_while_it_moves(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(momentum, "Clearance", Recorder)
     model, q, angular = stack_at_grasp(scenario)
-    found = momentum._arm_budget(scenario, model, q, angular)
+    found = momentum._arm_budget(make_mission(scenario), model, q, angular)
     assert found.capacity is None
     assert found.ended_by == "base and debris come within 0.01 m of each other"
     assert found.time is not None
@@ -243,7 +245,7 @@ def test_limits_of_the_joints_bound_what_the_arm_holds(tmp_path) -> None:
 
     scenario, model = limited(0.05, 0.5)
     model, q, angular = stack_at_grasp(scenario)
-    budget = momentum._arm_budget(scenario, model, q, angular)
+    budget = momentum._arm_budget(make_mission(scenario), model, q, angular)
     columns, size = on_joints(free_floating(model, q)), np.linalg.norm(angular)
     # Duality: the least of the bounds that any weights give.
     across = np.linalg.svd(angular[None])[2][1:]
@@ -264,7 +266,7 @@ def test_limits_of_the_joints_bound_what_the_arm_holds(tmp_path) -> None:
 
     slow = 0.5 * size / budget.capacity * 0.9
     scenario, model = limited(0.05, slow)
-    held = momentum._arm_budget(scenario, *stack_at_grasp(scenario))
+    held = momentum._arm_budget(make_mission(scenario), *stack_at_grasp(scenario))
     assert held.capacity == pytest.approx(0.9 * size, rel=1e-6)
     assert (held.time, held.ended_by) == (0.0, "no joint rates hold it there")
 
@@ -278,7 +280,7 @@ def test_where_all_is_driven_force_and_torque_take_it_out() -> None:
             "base_position": np.abs(budget.linear).max() / 22.0,
         }
     )
-    assert momentum_budget(load_scenario("postcapture")) is None
+    assert momentum_budget(make_mission(load_scenario("postcapture"))) is None
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.capture.grasping import Aim
 from ffsm_drake.plugins.design.stability.mission import linear_verdict
 from ffsm_drake.runs.metrics import phases_of
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.reference import make_motion
 
 HERE = f"python_path=[{Path(__file__).parent}]"
@@ -53,13 +53,14 @@ def test_a_wait_before_the_approach(tmp_path):
 def test_the_approach_after_it_is_that_without_it():
     """Planned motion and target are those of the run without a wait, later."""
     alone, later = load_scenario("tumbling_capture", SHORT), phases("wait=own_phases:wait")
-    coordinates = make_nominal_plant(alone).coordinates
     times = np.arange(0.0, 5.0, 0.37)
     rows = [
-        make_motion(each, coordinates).rows(times + by) for each, by in ((alone, 0), (later, 1))
+        make_motion(make_mission(each)).rows(times + by) for each, by in ((alone, 0), (later, 1))
     ]
     assert_allclose(rows[0], rows[1], rtol=0.0, atol=1e-13)
-    assert_allclose(Aim(alone).path, Aim(later).path[100:], rtol=0.0, atol=1e-9)
+    assert_allclose(
+        Aim(make_mission(alone)).path, Aim(make_mission(later)).path[100:], rtol=0.0, atol=1e-9
+    )
 
 
 @pytest.mark.slow
@@ -169,7 +170,7 @@ def listed(given, *more):
 
 
 def motion_of(scenario):
-    return make_motion(scenario, make_nominal_plant(scenario).coordinates)
+    return make_motion(make_mission(scenario))
 
 
 def test_a_list_of_phases_is_that_of_the_blocks():
@@ -206,13 +207,13 @@ def test_a_hold_keeps_its_place_to_the_target_and_leads_to_the_grasp(seed):
     )
     motion, nq, nv = motion_of(scenario), 12, 11
     times = np.arange(0.0, 3.0, 0.25)
-    path = Aim(scenario).path[(100 * times).round().astype(int)]
+    path = Aim(make_mission(scenario)).path[(100 * times).round().astype(int)]
     arm, rows = np.array(scenario.payload.truth.center_of_mass), motion.rows(times)
     centers = path[:, 4:7] + matrix_of(path[:, :4]) @ arm
     assert np.ptp(centers, axis=0).max() > 0.02  # it drifts
     assert_allclose(np.ptp(rows[:, 4:7] - centers, axis=0), 0.0, atol=1e-9)
     assert not np.ptp(np.delete(rows[:, :nq], [4, 5, 6], axis=1), axis=0).any()
-    grasp, X_WP = motion.row(scenario.grasp_time), Aim(scenario).target[0]
+    grasp, X_WP = motion.row(scenario.grasp_time), Aim(make_mission(scenario)).target[0]
     there = grasp[4:7] - X_WP @ arm
     way = rows[0, 4:7] - centers[0] - there
     along = np.array(toward) if seed % 2 else there

@@ -30,7 +30,7 @@ from ffsm_drake.scenario import (
     inertia_matrix,
 )
 from ffsm_drake.scenario.capture import Compliance
-from ffsm_drake.spacecraft.coordinates import StateSplit
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.systems.sampled import Now
 from ffsm_drake.systems.setup import BlockSetup
@@ -201,7 +201,7 @@ def released(start, environment, begin, end):
     scenario = load_scenario("tumbling_capture", ["capture.closing={}"])
     scenario = dataclasses.replace(scenario, environment=environment)
     nominal = make_nominal_plant(scenario)
-    setup = BlockSetup(name="", scenario=scenario, nominal=nominal, settings={}, split=StateSplit())
+    setup = BlockSetup(name="", mission=Mission(scenario), nominal=nominal, settings={})
     block = Closing.of(setup, Compliance())
     state = np.zeros(2 * len(nominal.coordinates.names) + 1)
     state[0] = 1.0

@@ -17,6 +17,7 @@ from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.plugins.compiled.sample import TracedSample
 from ffsm_drake.runs.engine import NotCovered
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 
 CALLS, HEAVY = [], 600.0  # kg
@@ -82,7 +83,7 @@ def test_a_law_with_branches_has_the_runs_of_drake(monkeypatch):
     found = check(scenarios, called=True)
     assert " test_called_laws.py:" in found[0].engine
     with pytest.raises(NotCovered, match=r"test_called_laws\.py:"):
-        TracedSample(scenarios[0], scenarios[0])
+        TracedSample(*[make_mission(scenarios[0])] * 2)
 
 
 @pytest.mark.slow

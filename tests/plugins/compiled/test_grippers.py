@@ -22,6 +22,7 @@ from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import EMPTY
 from ffsm_drake.scenario.capture import Compliance
+from ffsm_drake.spacecraft.mission import Mission
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
 SAMPLES = 30
@@ -98,10 +99,11 @@ def check_closing(variant, seed):
 
     expected = rollout.run(scenario, leg=Leg(last=SAMPLES, begin=begin, end=end))
     rollout.release()
-    case = Case(scenario, EMPTY, blocks={GRIPPER: part})
+    mission = Mission(scenario)
+    case = Case(mission, EMPTY, blocks={GRIPPER: part})
     if limp:
         case.fixed["limp"], case.parameters["joint_force"] = True, joints
-    run = Run(scenario, case)
+    run = Run(mission, case)
     kernel = _kernel(run, alone=False)
     (block,) = [each for name, each in run.blocks.parts["forces"].items() if name == "gripper"]
     memory = np.concatenate([found["memory"][name] for name in block.start()])
@@ -132,7 +134,8 @@ def check_closing(variant, seed):
 def test_a_gripper_that_does_not_close_holds_nothing():
     """The leg after a closing, with what that left in the cells."""
     scenario, _ = drawn(np.random.default_rng(0), *VARIANTS["limp"])
-    run = Run(scenario, Case(scenario))
+    mission = Mission(scenario)
+    run = Run(mission, Case(mission))
     kernel, held = _kernel(run, alone=False), {}
     for name in ("touched", "touch"):
         held[name] = np.ones(run.blocks.states[name])

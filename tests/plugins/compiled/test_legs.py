@@ -13,6 +13,7 @@ from ffsm_drake.plugins.compiled.kernel import LaneState
 from ffsm_drake.plugins.compiled.plans import plans_of
 from ffsm_drake.plugins.compiled.run import run_of
 from ffsm_drake.runs.rollout import Leg, Rollout
+from ffsm_drake.spacecraft.mission import Mission
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
 LANES = 3
@@ -32,7 +33,7 @@ VARIANTS = {
 def compiled(name, given, *, called=False):
     """The kernel and runs of a scenario with several seeds."""
     scenarios = of_seeds(name, ["duration=0.2", *given], LANES * [[]])
-    runs = [run_of(case_of(each), each) for each in scenarios]
+    runs = [run_of(case_of(each), each) for each in map(Mission, scenarios)]
     if called:
         runs = [run.with_called_law("a test") for run in runs]
     return _kernel(runs[0], alone=False), runs

@@ -14,7 +14,8 @@ from ffsm_drake.plugins.compiled import engine
 from ffsm_drake.plugins.compiled.noise import noise_of
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.rollout import Rollout
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.sensing.errors import SensorErrors
 
 
@@ -130,9 +131,9 @@ def test_runs_of_a_case_that_share_it_have_the_bits_of_runs_alone(seed):
         for law in random.permutation([*LAWS, "tvlqr"])[:2].tolist():
             runs.append(with_controller(case, law))
     random.shuffle(runs)
-    together, apart = dict(run_many(runs, engine="compiled")), 0
+    together, apart = dict(run_many([*map(Mission, runs)], engine="compiled")), 0
     for number, scenario in enumerate(runs):
-        ((_, alone),) = run_many([scenario], engine="compiled")
+        ((_, alone),) = run_many([Mission(scenario)], engine="compiled")
         assert set(alone.series) == set(together[number].series)
         for name, values in alone.series.items():
             np.testing.assert_array_equal(values, together[number].series[name], err_msg=name)
@@ -144,7 +145,12 @@ def test_runs_are_lost_beyond_their_bounds_of_velocity():
     """Bounds at the largest speed of a run, or just below; the others keep their bits."""
     random = np.random.default_rng(4)
     scenarios = varied(["duration=0.5"], 11)
-    logs = [log for _, log in sorted(run_many(scenarios, engine="compiled"), key=lambda x: x[0])]
+    logs = [
+        log
+        for _, log in sorted(
+            run_many([*map(Mission, scenarios)], engine="compiled"), key=lambda x: x[0]
+        )
+    ]
     most = [np.abs(log.series["state"][:, 12:]).max() for log in logs]
     beyond = random.random(len(logs)) < 0.5
     bounds = np.where(beyond, np.nextafter(most, 0.0), most).tolist()
@@ -152,7 +158,7 @@ def test_runs_are_lost_beyond_their_bounds_of_velocity():
         dataclasses.replace(scenario, divergence_speed=bound)
         for scenario, bound in zip(scenarios, bounds, strict=True)
     ]
-    found = engine.Compiled().run_all(bounded, ["state", "desired_state"])
+    found = engine.Compiled().run_all([*map(Mission, bounded)], ["state", "desired_state"])
     assert [log is None for log in found] == beyond.tolist()
     for log, other in zip(found, logs, strict=True):
         if log is not None:
@@ -184,7 +190,7 @@ def test_a_run_that_amplifies_rounding_judges_its_code(seed, amplified, monkeypa
     scenario = load_scenario("postcapture", ["duration=0.1", time])
     monkeypatch.setattr(engine, "LARGEST_DIFFERENCE", 1e-15 if amplified else -1.0)
     monkeypatch.setattr(engine, "_OF_LAST_BITS", 1e30 if amplified else 0.0)
-    ((_, log),) = run_many([scenario], engine="compiled")
+    ((_, log),) = run_many([Mission(scenario)], engine="compiled")
     assert log.engine.startswith("compiled" if amplified else "drake (not covered: ")
 
 

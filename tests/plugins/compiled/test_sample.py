@@ -15,7 +15,7 @@ from ffsm_drake.plugins.design.stability.linear_settings import without_limits
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.sampled_loop import SampledLoop, traced_sample
 from ffsm_drake.scenario import HELD
-from ffsm_drake.spacecraft.nominal import make_flexible_plant
+from ffsm_drake.spacecraft.mission import Mission, make_mission
 
 LAWS = (
     "tde_aismc", "aismc", "asmc", "tdc", "computed_torque", "pd_plus", "super_twisting",
@@ -154,15 +154,16 @@ def test_a_force_of_a_user_is_left_to_differences():
 def test_the_slope_of_the_momentum(name):
     """Against differences of Drake's momentum, for drawn states and payloads."""
     rng, scenario = np.random.default_rng(0), load_scenario(name, ["controller=tdc", *SHORT])
-    sample = TracedSample(scenario, scenario)
-    loop = SampledLoop(sample, scenario, HELD)
+    mission = Mission(scenario)
+    sample = TracedSample(mission, mission)
+    loop = SampledLoop(sample, mission, HELD)
     for truth in (None, dataclasses.replace(scenario.payload.truth, mass=40.0)):
         own = (
             scenario.payload
             if truth is None
             else dataclasses.replace(scenario.payload, truth=truth)
         )
-        model = make_flexible_plant(dataclasses.replace(scenario, payload=own))
+        model = mission.flown_by(payload=own).craft.flexible()
         state = sample.start + 0.1 * rng.standard_normal(sample.size)
 
         def momentum(change, state=state, model=model):
@@ -195,8 +196,8 @@ def test_any_loop_is_that_of_differences(law, given, monkeypatch):
 def test_the_code_of_a_run_without_its_limit(name):
     """The sample of a run whose limit of force is infinite is that of a scenario without one."""
     given = load_scenario(name, ["controller=tdc", "actuation.limit={all: 1.0e-3}", *SHORT])
-    bare = without_limits(given)
-    own, shared = (traced_sample(bare, each, HELD) for each in (bare, given))
+    bare = without_limits(make_mission(given))
+    own, shared = (traced_sample(Mission(bare), Mission(each), HELD) for each in (bare, given))
     changed = own.start + 1e-3 * np.random.default_rng(0).standard_normal(own.size)
     every = np.eye(own.size + own.num_noise)
     expected, found = (each.derivative(3, changed, None, every) for each in (own, shared))

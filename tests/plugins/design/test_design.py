@@ -19,7 +19,7 @@ from ffsm_drake.plugins.design.gains.requirement import Baseline, DesignPoint, R
 from ffsm_drake.plugins.design.stability.boundaries import Boundaries
 from ffsm_drake.plugins.design.stability.prediction import Prediction
 from ffsm_drake.plugins.design.tables import design_table
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant
 
 SHORT = ("duration=6", "reference.duration=6")
 pytestmark = pytest.mark.usefixtures("few_delays")

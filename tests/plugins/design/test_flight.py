@@ -18,6 +18,7 @@ from ffsm_drake.plugins.design.stability import stability
 from ffsm_drake.plugins.design.stability.planned_dynamics import make_demand
 from ffsm_drake.plugins.design.stability.prediction import predict
 from ffsm_drake.show.results import results_of
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.sensing.part import make_sensing
 
 
@@ -110,7 +111,7 @@ def test_it_flies_with_a_wrong_payload(run, controller, belief):
     payload = (f"payload.nominal.mass={belief}", f"payload.nominal.inertia={inertia}")
     record = run("flight_sensors", f"controller={controller}", "duration=10", *payload)
     assert record.outcome.completed
-    assert record.metrics["isv"] <= 1.3 * make_demand(record.scenario).ideal_isv
+    assert record.metrics["isv"] <= 1.3 * make_demand(make_mission(record.scenario)).ideal_isv
 
 
 @pytest.mark.parametrize(
@@ -119,7 +120,7 @@ def test_it_flies_with_a_wrong_payload(run, controller, belief):
 def test_it_flies_under_other_disturbances(run, scale):
     record = run("flight_sensors", f"disturbance.{scale}=3", "duration=10")
     assert record.outcome.completed
-    assert record.metrics["isv"] <= 1.1 * make_demand(record.scenario).ideal_isv + 25
+    assert record.metrics["isv"] <= 1.1 * make_demand(make_mission(record.scenario)).ideal_isv + 25
 
 
 @pytest.mark.parametrize("controller", ["tde_aismc", "tdc"])
@@ -258,7 +259,7 @@ def test_the_limit_says_nothing_of_sensors_it_does_not_know(monkeypatch):
 
 def test_perfect_tracking_effort_is_that_of_a_noiseless_run(run):
     demand = make_demand(
-        load_scenario("postcapture", ["controller=aismc", "sensing.velocity_noise=0"])
+        make_mission(load_scenario("postcapture", ["controller=aismc", "sensing.velocity_noise=0"]))
     )
     simulated = run("postcapture", "controller=aismc", "sensing.velocity_noise=0").metrics["isv"]
     assert demand.ideal_isv == pytest.approx(simulated, rel=2e-3)

@@ -9,6 +9,7 @@ from ffsm_drake import load_scenario, simulate
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.moving import MotionStability, motion_stability
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
+from ffsm_drake.spacecraft.mission import make_mission
 
 
 def pd_plus_between_postures(*overrides):
@@ -85,7 +86,7 @@ def test_an_instant_that_cannot_be_linearised_counts_as_unstable(unstable):
 
 
 def test_the_instant_at_which_a_joint_is_lightest_is_one_of_them(unstable):
-    planned = PlannedDynamics(pd_plus_between_postures())
+    planned = PlannedDynamics(make_mission(pd_plus_between_postures()))
     joint = planned.coordinates.names.index("joint_1")
     times = np.linspace(0.0, 20.0, 401)
     lightness = [np.linalg.inv(planned.mass_matrices(t)[0])[joint, joint] for t in times]

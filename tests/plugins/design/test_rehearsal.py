@@ -23,6 +23,7 @@ from ffsm_drake.plugins.design.stability.rehearsal import (
 )
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.runs.ending import Ending
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
 from ffsm_drake.systems.limits import actuation_limit, base_limits
 from ffsm_drake.systems.reference import timed
@@ -215,7 +216,7 @@ def test_a_stop_of_any_duration_keeps_what_the_wheels_give():
             scenario.actuation, wheels=dataclasses.replace(wheels, units=units)
         )
         scenario = dataclasses.replace(scenario, actuation=actuation)
-        found.append(timed(scenario).reference.duration)
+        found.append(timed(make_mission(scenario)).scenario.reference.duration)
         force = actuation_limit(scenario, coordinates_of(make_plant(scenario.model))).upper
         assert force[:6] == pytest.approx([4.0 / 3.0 * torque] * 3 + [10.0] * 3)
     assert found[0] > 1.2 * found[1]
@@ -253,7 +254,7 @@ def test_predicted_divergence_is_that_of_runs_with_these_noises():
     broken = "faults.events={a: {unit: thrusters.a_x, kind: stuck_on, time: [0.1]}}"
     changes = ["divergence_speed=1e-4", broken], ["divergence_speed=2.2e-3"]
     cases = [base, *(override_scenario(base, each) for each in changes)]
-    found = shares_diverged([timed(each) for each in cases], seeds=3)
+    found = shares_diverged([timed(make_mission(each)) for each in cases], seeds=3)
     for case, share in zip(cases, found, strict=True):
         first = case.random_seed + 1000
         runs = [override_scenario(case, [f"random_seed={first + k}"]) for k in range(3)]

@@ -9,8 +9,9 @@ from ffsm_drake.plugins.design.remedies import remedies
 from ffsm_drake.plugins.design.stability.mission import linear_verdict
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.scenario import override_scenario
-from ffsm_drake.spacecraft.limits import POSITION, tightest, urdf_limits
-from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.craft import Craft, make_true_plant
+from ffsm_drake.spacecraft.limits import POSITION, tightest
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import coordinates_of
 
 # base, overrides, a key that is among what helps
@@ -98,14 +99,16 @@ def test_an_angle_in_degrees_is_the_cause_and_no_search_begins(seed, monkeypatch
     draw = np.random.default_rng(seed)
     plain = load_scenario("envisat")
     plant = make_true_plant(plain).plant
-    lower, upper = tightest(urdf_limits(plain.model, plant), POSITION).joints
+    lower, upper = tightest(Craft(plain).limits, POSITION).joints
     joint, key = draw.integers(upper.size), draw.choice(["initial_posture", "target_posture"])
     name = coordinates_of(plant).joints[joint]
     # in degrees; a little outside; far outside, in degrees too
     angle = draw.choice([-1.0, 1.0]) * draw.uniform(0.2, 0.9) * upper[joint]
     for value in (float(np.degrees(angle)), 1.1 * lower[joint], 200.0 * upper[joint]):
         scenario = override_scenario(plain, [f"{key}.joints.{name}={value}"])
-        told = [line for line in plan_limits(scenario) if line.startswith(f"{key}.joints")]
+        told = [
+            line for line in plan_limits(make_mission(scenario)) if line.startswith(f"{key}.joints")
+        ]
         assert f"exceeds the URDF's position limits: {name} " in told[0]
         meant = f"{key}.joints.{name}: {value:.4g} rad looks like degrees: {angle:.3g} rad"
         assert told[1:] == ([meant] if value == float(np.degrees(angle)) else [])

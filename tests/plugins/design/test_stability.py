@@ -27,6 +27,7 @@ from ffsm_drake.plugins.estimators.filter_gains import kalman_gain
 from ffsm_drake.plugins.estimators.kalman import KalmanEstimator
 from ffsm_drake.runs.simulate import StabilityWarning
 from ffsm_drake.spacecraft.inertia import inertia_ratios
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers import make_law
 
@@ -38,7 +39,7 @@ def one_axis(controller, **gains):
     estimate.
     """
     scenario = load_scenario("postcapture", [f"controller={controller}"])
-    law = of_axes(make_law(scenario, make_nominal_plant(scenario)).by_axis, [3])
+    law = of_axes(make_law(make_mission(scenario), make_nominal_plant(scenario)).by_axis, [3])
     given = {"k_d": 100.0, "k_p": 200.0, "k_s": 80.0, "k_s_initial": 80.0, "k_s_max": 80.0, **gains}
     own = {
         name: np.array([value])
@@ -126,7 +127,7 @@ SAME = ["payload.nominal.mass=100", "payload.nominal.inertia=[16.7, 16.7, 16.7]"
 def test_the_limit_of_one_axis_is_that_of_the_wiring(name):
     """Every K_s held 1 % below and above the limit by axis, with the true payload."""
     scenario = load_scenario(name, ["controller=aismc", *SAME])
-    law = make_law(scenario, make_nominal_plant(scenario)).by_axis
+    law = make_law(make_mission(scenario), make_nominal_plant(scenario)).by_axis
     limit = min(largest_stable_k_s(law, axis, eta=np.ones(1))[0] for axis in (0, 3, 6))
     with Linearizer(scenario) as linearizer:
         inside, outside = (
@@ -140,7 +141,7 @@ def at_start(*overrides):
     """Mass matrices of a scenario in its initial posture."""
     scenario = load_scenario("postcapture", overrides)
     nominal, true = make_nominal_plant(scenario), make_true_plant(scenario)
-    q = configuration(nominal.plant, scenario.initial_posture, key="initial_posture")
+    q = configuration(nominal.coordinates, scenario.initial_posture, key="initial_posture")
     return true.calc_mass_matrix(q), nominal.calc_mass_matrix(q)
 
 

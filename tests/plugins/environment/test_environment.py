@@ -19,7 +19,8 @@ from ffsm_drake.plugins.environment.environment import EnvironmentForce, orbital
 from ffsm_drake.runs.rollout import Rollout, make_rollout
 from ffsm_drake.scenario import NOTHING, Approach, Environment, Scenario, SolarPressure
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.nominal import Carrier, PlantModel, make_flexible_plant, make_true_plant
+from ffsm_drake.spacecraft.craft import Craft, make_true_plant
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.orbit import EARTH_GRAVITY, mean_motion
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.sampled import SampledSystem
@@ -73,7 +74,7 @@ def coast(
     model = PlantModel(
         plant=own, context=own.CreateDefaultContext(), coordinates=Coordinates((), ())
     )
-    block = EnvironmentForce(force=orbital_force(settings, model), carrier=Carrier(Scenario()))
+    block = EnvironmentForce(force=orbital_force(settings, model), craft=Craft(Scenario()))
     system = builder.AddSystem(
         SampledSystem(block, name="environment", sample_time=sample_time, held=True)
     )
@@ -246,7 +247,7 @@ def force_body_by_body(
     "scenario", [("postcapture",), ("planar_detumble",), ("postcapture", PANELS)]
 )
 def test_every_body_is_pulled_at(scenario, settings):
-    model = make_flexible_plant(load_scenario(scenario[0], scenario[1:]))
+    model = Craft(load_scenario(scenario[0], scenario[1:])).flexible()
     rng = np.random.default_rng(1)
     q = rng.standard_normal(model.plant.num_positions())
     q[:4] /= np.linalg.norm(q[:4])
@@ -262,7 +263,7 @@ def test_gravity_gradient_is_at_most_what_the_inertia_says():
     """
     scenario = load_scenario("postcapture")
     model = make_true_plant(scenario)
-    q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
+    q = configuration(model.coordinates, scenario.initial_posture, key="initial_posture")
     H = model.calc_mass_matrix(q)
     # of the centre of mass, from H's coupling m [arm x]
     arm = np.array([H[2, 4], H[0, 5], H[1, 3]]) / H[3, 3]
@@ -310,7 +311,7 @@ def test_hidden_coordinates_are_pulled_at_and_the_balances_close(run):
         run("postcapture", *QUIET, PANELS, *soft, *more).dataset for more in ((fast,), ())
     )
     scenario = load_scenario("postcapture", [*QUIET, PANELS, fast])
-    model = make_flexible_plant(scenario)
+    model = Craft(scenario).flexible()
     known = np.concatenate([data["position"], data["velocity"]], axis=1)
     hidden = np.concatenate([data["hidden_position"], data["hidden_velocity"]], axis=1)
     row = 77

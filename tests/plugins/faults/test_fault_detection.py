@@ -20,7 +20,7 @@ from ffsm_drake.runs.limits import run_remarks
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Thrusters
 from ffsm_drake.spacecraft.coordinates import position_error
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant
 
 NAME, SENSORS = "thrusters_and_wheels", "flight_sensors"
 

@@ -14,7 +14,7 @@ from ffsm_drake.runs.limits import run_remarks
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Fault, thrusters_of
 from ffsm_drake.spacecraft.coordinates import position_error
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.systems.faults import Occurrence, fault_kinds, hits, settle_faults
 
 NAME, SENSORS, STEP = "thrusters_and_wheels", "flight_sensors", 0.01

@@ -24,7 +24,7 @@ from ffsm_drake.runs.limits import run_remarks
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Fault, Faults, thrusters_of
 from ffsm_drake.spacecraft.coordinates import position_error
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.systems.faults import settle_faults
 
 TIME = 0.2  # s

@@ -25,7 +25,7 @@ from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Flexible, Model, Scenario, load_scenario
-from ffsm_drake.spacecraft.nominal import make_flexible_plant, make_true_plant
+from ffsm_drake.spacecraft.craft import Craft
 from ffsm_drake.spacecraft.plant import configuration, split_of
 
 HUB_MASS, HUB_INERTIA, ARM = 400.0, 266.0, 1.0  # kg, kg m^2 about x, hinges at y = +-ARM
@@ -181,8 +181,8 @@ def with_all() -> Scenario:
 
 
 def test_locked_it_is_the_spacecraft_that_the_controller_knows(with_all):
-    whole, locked = make_flexible_plant(with_all), make_true_plant(with_all)
-    q = configuration(locked.plant, with_all.initial_posture, key="initial_posture")
+    whole, locked = Craft(with_all).flexible(), Craft(with_all).true()
+    q = configuration(locked.coordinates, with_all.initial_posture, key="initial_posture")
     v = np.linspace(-0.3, 0.4, 11)
     known = whole.split.known
     assert sorted(whole.split.names) == [
@@ -307,7 +307,7 @@ def test_a_grasp_shakes_the_panels_and_keeps_momentum(run):
 )
 def test_what_cannot_be_built_is_said_in_one_line(changes, message):
     with pytest.raises(ModelError, match=message):
-        make_flexible_plant(load_scenario("postcapture", changes))
+        Craft(load_scenario("postcapture", changes)).flexible()
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,6 @@ from ffsm_drake.plugins.report.comparison import table
 from ffsm_drake.plugins.report.part_panels import part_sections, part_views
 from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
-from ffsm_drake.spacecraft.nominal import make_flexible_plant
 from ffsm_drake.spacecraft.plant import split_of
 
 OVERRIDES = (
@@ -82,7 +81,7 @@ def test_deflections_are_drawn_larger_by_what_the_caption_says(meshcat, record):
 
 
 def test_the_largest_deflection_is_drawn_below_ten_degrees(record):
-    plant = make_flexible_plant(record.scenario).plant
+    plant = record.mission.craft.whole
     for peak in (1e-6, 3e-5, 0.01, 0.08, 0.5):
         one = scaled(record, port=peak, starboard_1=1e-9, starboard_2=1e-9)
         factor = Deflections(one.dataset, one.scenario.model, plant, split_of(plant)).factors.get(

@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.scenario import Flexible, Model, Posture
-from ffsm_drake.spacecraft.plant import add_combined_plant, configuration, split_of
+from ffsm_drake.spacecraft.plant import add_combined_plant, configuration, coordinates_of, split_of
 
 HINGE = np.array([0.0, 1.0, 0.0])
 DRAWN = 22  # shapes of the shipped servicer's port panel; its boom is the base's
@@ -21,7 +21,7 @@ def shapes(model, *, flexible=True, deflection=None):
     inspector = builder.GetSubsystemByName("scene_graph").model_inspector()
     builder.Build()
     context = plant.CreateDefaultContext()
-    q = configuration(plant, Posture(), key="posture")
+    q = configuration(coordinates_of(plant), Posture(), key="posture")
     plant.SetPositions(context, split_of(plant).whole_positions(q, deflection))
     found = {}
     for geometry in inspector.GetAllGeometryIds(Role.kIllustration):

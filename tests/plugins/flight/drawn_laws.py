@@ -78,7 +78,7 @@ def frame_of(base: str):
     scenario = load_scenario(base)
     model, (instance, name) = make_nominal_plant(scenario), scenario.model.end_effector.split("::")
     hand = model.plant.GetFrameByName(name, model.plant.GetModelInstanceByName(instance))
-    q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
+    q = configuration(model.coordinates, scenario.initial_posture, key="initial_posture")
     place = [float(x) + 0.02 for x in model.calc_frame_pose(q, hand)[4:]]
     goal = {"frame": scenario.model.end_effector, "task": "position", "position": place}
     return [{"reference": {"frame": goal}}]

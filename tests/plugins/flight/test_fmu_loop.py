@@ -16,6 +16,8 @@ pytest.importorskip("fmpy", reason="needs FMPy, to drive FMUs")
 from driven_fmu import Driven
 from fmpy.fmi1 import FMICallException
 
+from ffsm_drake.spacecraft.mission import Mission
+
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 pytestmark = needs_compiler
 SHORT = ("duration=1.0",)
@@ -87,7 +89,7 @@ def test_it_has_the_bits_of_the_compiled_run(name, overrides, tmp_path):
     scenario = load_scenario(name, ("duration=0.5", *overrides))
     for part in ("plant", "controller"):
         write_fmu(scenario, tmp_path / f"{part}.fmu", part, table=True)
-    (log,) = compiled.Compiled().run_all([scenario])
+    (log,) = compiled.Compiled().run_all([Mission(scenario)])
     assert isinstance(log, RunLog)
     plant = Driven(tmp_path / "plant.fmu", tmp_path / "p")
     law = Driven(tmp_path / "controller.fmu", tmp_path / "c")
@@ -128,7 +130,7 @@ def test_a_plant_under_the_forces_of_a_run_moves_as_in_the_run(name, overrides, 
     values = {"payload_mass": "payload.truth.mass", "seed": "random_seed"}
     overrides += tuple(f"{values[each]}={value}" for each, value in changed.items())
     scenario = load_scenario(name, overrides)
-    (log,) = compiled.Compiled().run_all([scenario])
+    (log,) = compiled.Compiled().run_all([Mission(scenario)])
     plant = Driven(tmp_path / "plant.fmu", tmp_path / "p", **changed)
     expected = np.hstack([log.series["state"], log.series["measurement"]])
     found = []

@@ -9,7 +9,7 @@ from flight_kit import exported, make, need, run
 
 from ffsm_drake import FfsmError, load_scenario
 from ffsm_drake.plugins.flight.kit import write_kit
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant
 
 pytestmark = needs_llvm
 SHORT = ("controller=tde_aismc", "duration=0.5")

@@ -9,7 +9,6 @@ import pytest
 from children import PIPE, child
 
 from ffsm_drake import FfsmError, load_scenario, simulate
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import controller_names, make_controller
 
 gymnasium = pytest.importorskip("gymnasium", reason="needs gymnasium, an extra")
@@ -18,6 +17,8 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 from ffsm_drake.plugins.gymnasium.environment import MissionEnv  # noqa: E402
 from ffsm_drake.plugins.gymnasium.vector import MissionVectorEnv  # noqa: E402
+from ffsm_drake.spacecraft.craft import make_nominal_plant  # noqa: E402
+from ffsm_drake.spacecraft.mission import make_mission  # noqa: E402
 
 
 def flown(env, seed, action=None):
@@ -70,7 +71,7 @@ def test_a_law_as_the_policy_of_forces_has_the_bits_of_a_run(law):
     """Its sample is the law's, and a power of two as the scale takes no bit from the force."""
     name = "planar_detumble" if law == "torque_against_momentum" else "postcapture"
     scenario = load_scenario(name, ["duration=0.3", f"controller={law}"])
-    own = make_controller(scenario, make_nominal_plant(scenario)).law
+    own = make_controller(make_mission(scenario), make_nominal_plant(scenario)).law
     env = MissionEnv(scenario, action="force", dtype=np.float64, scale=2.0**20)
     env.reset(seed=7)
     state, over = own.initial_state(), False

@@ -14,7 +14,7 @@ gymnasium = pytest.importorskip("gymnasium", reason="needs gymnasium, an extra")
 
 import ffsm_drake.plugins.gymnasium  # noqa: E402, F401
 from ffsm_drake.plugins.gymnasium.vector import MissionVectorEnv  # noqa: E402
-from ffsm_drake.spacecraft.nominal import make_nominal_plant  # noqa: E402
+from ffsm_drake.spacecraft.craft import make_nominal_plant  # noqa: E402
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "2"))
 

@@ -25,7 +25,7 @@ from ffsm_drake.plugins.new.urdf.target import cube, read_target
 from ffsm_drake.plugins.new.urdf.writing import write_urdf
 from ffsm_drake.scenario import load_scenario, thruster_layouts
 from ffsm_drake.spacecraft.clearance import Clearance
-from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.craft import make_true_plant
 
 BUS = link("bus", mass=200, inertia=(40, 35, 30))
 SMALL = link(

@@ -21,8 +21,8 @@ from ffsm_drake.plugins.new.asked import Asked
 from ffsm_drake.plugins.new.first_scenario import new_scenario
 from ffsm_drake.plugins.new.urdf.servicer import read_urdf
 from ffsm_drake.scenario import load_scenario, scenario_to_dict
-from ffsm_drake.spacecraft.limits import urdf_limits
-from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.craft import Craft, make_true_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.reference import make_motion
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "20"))
@@ -48,10 +48,10 @@ def remedied(words, line):
 def used(scenario):
     """The largest shares of the limits of position and rate along the planned motion."""
     model = make_true_plant(scenario)
-    rows = make_motion(scenario, model.coordinates).rows(np.linspace(0.0, scenario.duration, 801))
+    rows = make_motion(make_mission(scenario)).rows(np.linspace(0.0, scenario.duration, 801))
     nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
     q, v, _ = np.split(rows, [nq, nq + nv], axis=1)
-    position, rate, _ = urdf_limits(scenario.model, model.plant)
+    position, rate, _ = Craft(scenario).limits
     return position.used(q[:, 1:]).max(), rate.used(v).max()
 
 

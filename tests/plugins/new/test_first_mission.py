@@ -23,7 +23,8 @@ from ffsm_drake.plugins.new.urdf.servicer import read_urdf
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import thrusters_of
 from ffsm_drake.spacecraft.clearance import Clearance
-from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.craft import make_true_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.limits import base_limits
 from ffsm_drake.systems.reference import make_motion
 
@@ -60,7 +61,7 @@ def assert_settles(new):
     """The mission settles at its first run, and says so of its contact."""
     scenario = load_scenario(new.scenario_file)
     told = any("come within" in each or "overlap" in each for each in new.remarks)
-    clear = [each.distance >= scenario.clearance for each in plan_clearance(scenario)]
+    clear = [each.distance >= scenario.clearance for each in plan_clearance(make_mission(scenario))]
     assert all(clear) or told
     ending = make_rollout(scenario).run().ending
     assert ending.is_settled, ending.sentence
@@ -78,7 +79,7 @@ def test_peak_forces_are_those_of_the_motion_that_was_written(tmp_path, mass):
     scenario = load_scenario(new.scenario_file)
     assert (scenario.reference.duration > 20.0) is (mass > 100.0)
     model = make_true_plant(scenario)
-    motion = make_motion(scenario, model.coordinates)
+    motion = make_motion(make_mission(scenario))
     nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
     rows = motion.rows(np.linspace(0.0, motion.end, 101))
     force = model.calc_inverse_dynamics(*np.split(rows, [nq, nq + nv], axis=1))
@@ -155,7 +156,7 @@ def test_flags_are_the_scenarios_settings(tmp_path):
     approach = scenario.capture.approach.posture
     assert approach.joints == scenario.initial_posture.joints
     assert approach.base_rpy == scenario.initial_posture.base_rpy
-    for each in plan_clearance(scenario):
+    for each in plan_clearance(make_mission(scenario)):
         assert each.distance >= scenario.clearance
     # The motion takes at most two thirds of what the actuators give.
     limits = base_limits(scenario)

@@ -27,6 +27,7 @@ from ffsm_drake.plugins.new.urdf.mounting import make_bus
 from ffsm_drake.plugins.new.urdf.servicer import read_urdf
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import base_body
 
 # Final error, rad or m, held after a motion of a quarter of the planned duration (PD+: of half of
@@ -150,7 +151,7 @@ def test_pd_plus_gains_follow_the_inertia(made):
     """
     gains = {name: pd_plus(made(name)) for name in ("gripper", "prismatic")}
     for name, (k_p, k_d) in gains.items():
-        planned = PlannedDynamics(load_scenario(made(name).scenario_file))
+        planned = PlannedDynamics(make_mission(load_scenario(made(name).scenario_file)))
         assert tuple(k_p) == tuple(k_d) == planned.coordinates.names
         # K_D L of the coupled loop, which must stay below 2, at the worst of the postures.
         rate = max(

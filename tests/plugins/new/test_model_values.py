@@ -15,9 +15,9 @@ from ffsm_drake.common.errors import ModelError
 from ffsm_drake.plugins.new.urdf.formats.direct import check_direct
 from ffsm_drake.plugins.new.urdf.servicer import read_urdf
 from ffsm_drake.plugins.new.urdf.writing import write_urdf
-from ffsm_drake.scenario import Model
+from ffsm_drake.scenario import Model, Scenario
+from ffsm_drake.spacecraft.craft import Craft
 from ffsm_drake.spacecraft.inertia import MOMENTS, SIX
-from ffsm_drake.spacecraft.limits import urdf_limits
 from ffsm_drake.spacecraft.plant import make_plant
 
 DRAWS = [6, pytest.param(500, marks=pytest.mark.exhaustive)]
@@ -402,5 +402,5 @@ def test_limits_of_a_file_in_directives_hold(tmp_path: Path) -> None:
         'joint="j" ctrlrange="-4 4"/></actuator></mujoco>'
     )
     model = Model(directives=str(tmp_path / "craft.xml"), end_effector="craft::arm")
-    position, _, force = urdf_limits(model, make_plant(model))
+    position, _, force = Craft(Scenario(model=model)).limits
     assert [each[-1] for each in (*position.joints, *force.joints)] == [-1.0, 2.0, -4.0, 4.0]

@@ -331,7 +331,10 @@ def test_a_mast_is_where_it_is_written(kind: str, tmp_path: Path) -> None:
     for k in range(DRAWS // len(WRITERS)):
         folder = tmp_path / str(k)
         folder.mkdir()
-        halves, poses = list(rng.uniform(0.05, 0.6, (2, 3))), [drawn(rng), drawn(rng)]
+        halves, poses = (
+            list(rng.uniform(0.05, 0.6, (2, 3))),
+            [drawn(rng), drawn(rng)],
+        )
         turn, at = poses[1]
         probe = picture.format(
             at=told(at), rpy=told(turn.as_euler("xyz")), size=told(2 * halves[1]),

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake import load_scenario
 from ffsm_drake.common.so3 import attitude_motion
 from ffsm_drake.plugins.planning.inverse_dynamics import InverseDynamics, complex_step
-from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.craft import make_true_plant
 
 ROTORS = "actuation.drives={gear_ratio: 50, rotor_inertia: 1e-3}"
 

@@ -18,7 +18,8 @@ from ffsm_drake.plugins.planning.limits import Margin
 from ffsm_drake.plugins.planning.planner import PlanningError, plan_motion
 from ffsm_drake.runs.limits import saturation
 from ffsm_drake.runs.simulate import LimitWarning, prepare
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.plan import Plan, load_plan
 from ffsm_drake.systems.reference import make_motion
 
@@ -142,7 +143,7 @@ def test_a_plan_starts_as_the_scenario_and_ends_at_rest(quick):
 
 def test_rates_and_accelerations_are_derivatives(shipped):
     scenario = load_scenario("planar_detumble")
-    motion = make_motion(scenario, make_nominal_plant(scenario).coordinates)
+    motion = make_motion(make_mission(scenario))
     times = [0.4, 1.3, 2.2, shipped.duration + 0.7]
     assert_consistent(motion, times, h=1e-5, atol=1e-6)
 
@@ -205,9 +206,7 @@ def test_goal_posture_and_effort():
     assert found.rows[-1, 7:10] == pytest.approx([-0.6, 1.1, 0.6], abs=1e-6)
     assert found.rows[-1, :4] == pytest.approx([np.cos(0.05), 0, np.sin(0.05), 0], abs=1e-6)
     reference = dataclasses.replace(scenario.reference, kind="quintic")
-    quintic = make_motion(
-        dataclasses.replace(scenario, reference=reference), make_nominal_plant(scenario).coordinates
-    )
+    quintic = make_motion(make_mission(dataclasses.replace(scenario, reference=reference)))
     model = make_nominal_plant(scenario)
     times = np.linspace(0, 40, 201)
     q, v, a = np.split(quintic.rows(times), [10, 19], axis=1)
@@ -352,7 +351,7 @@ def test_a_slow_tumble_stops_where_it_is(rate):
 
 
 def test_clearance_before_the_grasp_is_that_of_a_free_target():
-    before, after = plan_clearance(load_scenario("tumbling_capture"))
+    before, after = plan_clearance(make_mission(load_scenario("tumbling_capture")))
     assert (before.before_grasp, after.before_grasp) == (True, False)
     # the gripper, up to the last decimetre
     assert (before.first, before.second) == ("debris", "link_5")

@@ -10,7 +10,6 @@ import pytest
 from ffsm_drake import BlockError, ScenarioError, load_scenario, simulate, stability
 from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_json
 from ffsm_drake.runs.batches import run_many
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
 from ffsm_drake.systems.controllers import make_controller
 from ffsm_drake.systems.registry import find_factory
 
@@ -18,6 +17,9 @@ onnx = pytest.importorskip("onnx", reason="needs onnx, of the extra test")
 pytest.importorskip("onnxruntime", reason="needs onnxruntime, an extra")
 
 from networks import linear_policy, metadata_of, network  # noqa: E402
+
+from ffsm_drake.spacecraft.craft import make_nominal_plant  # noqa: E402
+from ffsm_drake.spacecraft.mission import Mission, make_mission  # noqa: E402
 
 GAINS = {"base_rotation": (300.0, 600.0), "base_position": (300.0, 600.0), "joints": (30.0, 60.0)}
 SCALE = 1000.0
@@ -149,7 +151,9 @@ def test_a_policy_without_a_file_is_refused(name):
 def test_compiled_runs_call_a_policy(pd):
     pytest.importorskip("llvmlite", reason="needs llvmlite, an extra")
     scenarios = [flown(pd, "duration=0.5").replace(random_seed=seed) for seed in (1, 2)]
-    found, expected = (dict(run_many(scenarios, engine=name)) for name in ("compiled", "drake"))
+    found, expected = (
+        dict(run_many([*map(Mission, scenarios)], engine=name)) for name in ("compiled", "drake")
+    )
     for index, log in found.items():
         assert log.engine.startswith("compiled (law called: ")
         state = expected[index].series["state"]
@@ -265,4 +269,4 @@ def test_a_policy_of_another_task_is_refused(pd):
     changes = ["controller=policy:pd.onnx", f"python_path=[{pd}]"]
     scenario = load_scenario("free_floating", changes)
     with pytest.raises(BlockError, match="number 1 of its actions is 'base_rotation_x'"):
-        make_controller(scenario, make_nominal_plant(scenario))
+        make_controller(make_mission(scenario), make_nominal_plant(scenario))

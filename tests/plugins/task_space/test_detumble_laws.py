@@ -17,7 +17,8 @@ from ffsm_drake.plugins.task_space.torque_against_momentum import angular_moment
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import load_scenario
 from ffsm_drake.spacecraft.coordinates import error_rate, position_error
-from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import make_controller, make_law
 from ffsm_drake.systems.reference import make_motion
 
@@ -61,8 +62,11 @@ def test_the_errors_obey_the_linearised_equation(model):
 @pytest.mark.smoke
 def test_its_gains_are_those_of_the_riccati_equation():
     scenario = load_scenario("tumbling_capture", TUMBLING)
-    law, model = make_law(scenario, make_nominal_plant(scenario)), make_nominal_plant(scenario)
-    end = make_motion(scenario, model.coordinates).evaluate(2.0)
+    law, model = (
+        make_law(make_mission(scenario), make_nominal_plant(scenario)),
+        make_nominal_plant(scenario),
+    )
+    end = make_motion(make_mission(scenario)).evaluate(2.0)
     a, b = discretized(*linearized(model, *end), 0.01)
     effort = np.diag(law.force_size**-2.0)
     cost = solve_discrete_are(
@@ -87,7 +91,7 @@ def test_its_gains_are_those_of_the_regulator_in_continuous_time():
     scenario = load_scenario("planar_detumble", ["controller=tvlqr", "sample_time=0.002"])
     scenario = scenario.replace(controllers={"tvlqr": published})
     model = make_nominal_plant(scenario)
-    law, motion = make_law(scenario, model), make_motion(scenario, model.coordinates)
+    law, motion = make_law(make_mission(scenario), model), make_motion(make_mission(scenario))
     times = np.linspace(0.0, motion.end, 101)
     a, b = zip(*(linearized(model, *motion.evaluate(time)) for time in times), strict=True)
     weight = np.diag(np.concatenate([law.error_size, law.rate_size]) ** -2.0)
@@ -122,13 +126,13 @@ def test_sizes_that_are_too_far_apart():
     sets = ["controller=tvlqr", "controllers.tvlqr={error_size: 1.0e-20}"]
     scenario = load_scenario("planar_detumble", sets)
     with pytest.raises(ScenarioError, match=r"controllers\.tvlqr: has no regulator in double"):
-        make_controller(scenario, make_nominal_plant(scenario))
+        make_controller(make_mission(scenario), make_nominal_plant(scenario))
 
 
 def test_tvlqr_needs_the_plan():
     scenario = load_scenario("tumbling_capture", [*TUMBLING, "blocks.reference={system: 'a:b'}"])
     with pytest.raises(ScenarioError, match="tvlqr needs the planned motion"):
-        make_controller(scenario, make_nominal_plant(scenario))
+        make_controller(make_mission(scenario), make_nominal_plant(scenario))
 
 
 def test_angular_momentum_is_that_about_the_centre_of_mass(model):

@@ -7,6 +7,7 @@ from pydrake.systems.framework import LeafSystem
 from ffsm_drake import ScenarioError, load_scenario, make_nominal_plant, make_true_plant, simulate
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.spacecraft.free_floating import driven_model, free_floating
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import make_law
 from ffsm_drake.systems.reference import make_motion
 
@@ -28,7 +29,7 @@ TUMBLING = [
 def make(*overrides):
     scenario = load_scenario("postcapture", [*FREE, *overrides])
     model = make_nominal_plant(scenario)
-    return scenario, model, make_motion(scenario, model.coordinates)
+    return scenario, model, make_motion(make_mission(scenario))
 
 
 def split(model, rows):
@@ -95,7 +96,7 @@ def test_the_model_of_laws_accelerates_as_the_whole_plant(groups):
     )
     assert np.array_equal(several[0][1], reduced.calc_mass_matrix(q))
     assert np.array_equal(several[1][1], reduced.calc_bias(q, v))
-    law = make_law(scenario, model)
+    law = make_law(make_mission(scenario), model)
     assert np.array_equal(law.model.calc_mass_matrix(q), reduced.calc_mass_matrix(q))
 
 

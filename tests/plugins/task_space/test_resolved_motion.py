@@ -12,8 +12,9 @@ from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.plugins.design.remarks import plan_remarks
 from ffsm_drake.plugins.task_space.resolved_motion import damped_inverse
 from ffsm_drake.spacecraft.coordinates import position_errors
+from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.spacecraft.free_floating import free_floating
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.reference import make_motion
 
 ARM_ALONE = ["actuation.driven=[joints]"]
@@ -26,7 +27,7 @@ AT_ORIGIN = ["initial_posture.base_position=[0, 0, 0]", "initial_posture.base_rp
 def motion_of(name, *overrides):
     scenario = load_scenario(name, overrides)
     model = make_nominal_plant(scenario)
-    return make_motion(scenario, model.coordinates), model, scenario
+    return make_motion(make_mission(scenario)), model, scenario
 
 
 @pytest.mark.smoke
@@ -132,7 +133,7 @@ def test_after_a_capture_it_goes_on_with_the_momentum_of_both():
         "reference.goal=stop",
         "reference.frame={task: attitude}",
     )
-    contact = planned_contact(scenario, model)
+    contact = planned_contact(make_mission(scenario), model)
     times = np.array([0.0, 4.0, 15.0, 24.0])
     q, v, _ = parts_of(motion, times)
     assert_allclose(v[0], contact.grasp.velocity, atol=1e-15)

@@ -19,8 +19,9 @@ from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.simulate import make_record
 from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
+from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
-from ffsm_drake.spacecraft.nominal import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers import complete_gains, controller_setup, make_law
 from ffsm_drake.systems.controllers.law import Sample
@@ -46,7 +47,7 @@ def scenario_of(*overrides, name="seven_joint"):
 
 def first(scenario, model):
     """The configuration of the initial posture."""
-    return configuration(model.plant, scenario.initial_posture, key="")
+    return configuration(model.coordinates, scenario.initial_posture, key="")
 
 
 def state_of(scenario, seed=0):
@@ -102,7 +103,7 @@ def test_computed_torque_gives_the_frame_the_acceleration_it_wants(driven, task)
     frame = f"reference.frame={{task: {task}}}"
     scenario = scenario_of(f"actuation.driven={driven}", "controller=task_computed_torque", frame)
     model = make_nominal_plant(scenario)
-    law, (q, v, random) = make_law(scenario, model), state_of(scenario)
+    law, (q, v, random) = make_law(make_mission(scenario), model), state_of(scenario)
     sample = sample_at(q, v, random)
     sample = sample._replace(e=np.where(model.coordinates.is_driven, sample.e, 0.0))
     force, memory = law.step(sample, law.initial_state())
@@ -125,7 +126,7 @@ def test_computed_torque_gives_the_frame_the_acceleration_it_wants(driven, task)
 
 def test_joint_rates_are_bounded_however_near_a_singularity():
     scenario = scenario_of("controller=resolved_rate")
-    setup = controller_setup(scenario, make_nominal_plant(scenario))
+    setup = controller_setup(make_mission(scenario), make_nominal_plant(scenario))
     space, (q, v, random) = TaskSpace.from_setup(setup), state_of(scenario)
     for bend in (0.0, 1e-9, 1e-3, 0.05, 0.3):  # of the elbow: stretched out
         q[7:] = [0.3, 0.2, 0.1, bend, 0.2, -0.1, 0.4]

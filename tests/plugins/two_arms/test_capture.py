@@ -11,6 +11,7 @@ from ffsm_drake.plugins.capture.approach import planned_approach
 from ffsm_drake.plugins.capture.contact import contact_at, planned_contact
 from ffsm_drake.plugins.two_arms.motion import closed_chain
 from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import find_body, find_frame
 
 TURN = np.deg2rad(3.0)
@@ -23,7 +24,7 @@ def test_both_hands_take_the_momentum_at_once() -> None:
     """
     given = load_scenario("two_arms_capture")
     model = make_true_plant(given)
-    contact = planned_contact(given, model)
+    contact = planned_contact(make_mission(given), model)
     v, H = contact.grasp.velocity, model.calc_mass_matrix(contact.q)
     q, constraints = closed_chain(given, model, contact.q)
     assert_allclose(q, contact.q, atol=1e-12)
@@ -106,8 +107,8 @@ def test_an_approach_ends_with_both_hands_moving_with_the_target(seed: int, serv
         ],
     )
     model = make_nominal_plant(given)
-    contact = planned_contact(given, model)
-    q, v, _ = planned_approach(given).evaluate(given.grasp_time)
+    contact = planned_contact(make_mission(given), model)
+    q, v, _ = planned_approach(make_mission(given)).evaluate(given.grasp_time)
     assert_allclose(q, contact.q, atol=1e-12)
     plant, context = model.plant, model.context
     plant.SetPositionsAndVelocities(context, np.concatenate([q, v]))

@@ -14,7 +14,8 @@ from ffsm_drake.plugins.two_arms.contact import ContactForce
 from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Grip
 from ffsm_drake.scenario.capture import Envelope
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import make_nominal_plant
+from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.systems.controllers import PAPER_LAWS
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.setup import BlockSetup
@@ -99,7 +100,7 @@ def test_any_closing_is_plastic(seed: int) -> None:
     given = scenario(f"contacts.right.kind={kind}", "simulator_config.max_step_size=0.001")
     grip = Grip(closed=given.contacts["right"].closes)
     nominal = make_nominal_plant(given, grip)
-    block = ContactForce(BlockSetup(name="", scenario=given, nominal=nominal, settings={}))
+    block = ContactForce(BlockSetup(name="", mission=Mission(given), nominal=nominal, settings={}))
     context, model = block.CreateDefaultContext(), make_true_plant(given)
     q = np.concatenate([generator.normal(size=4), generator.uniform(-1.5, 1.5, 15)])
     q[:4] /= np.linalg.norm(q[:4])
@@ -137,7 +138,7 @@ def test_the_hand_comes_to_its_place_with_the_targets_motion(
     given = drawn(tmp_path, seed)
     assert (given.capture is not None) == tumbles
     model = make_nominal_plant(given)
-    motion, closes = make_motion(given, model.coordinates), given.contacts["right"].closes
+    motion, closes = make_motion(make_mission(given)), given.contacts["right"].closes
     chain = ClosedChain(model, given, Grip(closed=closes), true=False)
     nq, nv, step = len(model.coordinates.position_names), len(model.coordinates.names), 1e-4
     for time in np.linspace(closes, given.duration, 9):

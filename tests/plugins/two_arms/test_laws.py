@@ -22,6 +22,7 @@ from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.plugins.two_arms.growth import growth
 from ffsm_drake.runs.limits import broken_limits
 from ffsm_drake.scenario import PerCoordinate
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import PAPER_LAWS, controller_names
 
 CALIBRATION = (  # 1 mrad of each encoder, 1 mm at the hand
@@ -96,7 +97,7 @@ def test_the_ramp_is_foretold(law: str, overrides: tuple[str, ...]) -> None:
     with Linearizer(given) as linearizer:
         assert linearizer.at(linearizer.end).unit_poles == 6
         reference = linearizer.motion.evaluate(linearizer.end)[0]
-        foretold = growth(linearizer.scenario, linearizer.law, reference)
+        foretold = growth(make_mission(linearizer.scenario), linearizer.law, reference)
     wrench = simulate(given, check_stability=False).dataset["contact_wrench"].values
     force = np.linalg.norm(wrench[:, 3:], axis=1)
     grown = foretold.force[-1] - foretold.force[-101]
@@ -242,5 +243,5 @@ def test_estimators_and_filters_work_in_the_chain(overrides: list[str]) -> None:
 
 def test_a_run_beyond_the_limits_of_a_contact_says_so() -> None:
     given = scenario("duration=1", "contacts.right.force_limit=0.05")
-    (line,) = broken_limits(given, simulate(given, check_stability=False).dataset)
+    (line,) = broken_limits(make_mission(given), simulate(given, check_stability=False).dataset)
     assert line.startswith("the run exceeds the limits of the contacts: force_x")

@@ -17,7 +17,8 @@ from ffsm_drake import (
 )
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
-from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.craft import make_true_plant
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.start import state_at_start
 
 NQ, NV = 19, 18
@@ -54,7 +55,7 @@ def consistent_states(count: int):
     given = scenario()
     model = make_true_plant(given)
     chain, generator = ClosedChain(model, given, true=True), np.random.default_rng(0)
-    start = state_at_start(given, model)[:NQ]
+    start = state_at_start(make_mission(given), model)[:NQ]
     for _ in range(count):
         q = start.copy()
         q[:4] = generator.normal(size=4)
@@ -69,7 +70,7 @@ def consistent_states(count: int):
 
 def constrained_acceleration(loop: ClosedLoop, state: np.ndarray, force: np.ndarray) -> np.ndarray:
     """dv/dt of the plant with the contacts' force, all other forces being ``force``."""
-    model = loop.true_model(loop.scenario)
+    model = loop.mission.craft.flexible(loop.grip)
     contact = loop.blocks["forces.contacts"]
     context = contact.CreateDefaultContext()
     contact.GetInputPort("state").FixValue(context, state)

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 from ffsm_drake import Scenario, ScenarioError, load_scenario, make_nominal_plant, simulate
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
+from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.reference import make_motion
 
 
@@ -23,7 +24,7 @@ def drawn(request: pytest.FixtureRequest, tmp_path: Path) -> Scenario:
 @pytest.mark.smoke
 def test_loops_are_closed_along_the_motion_with_exact_rates(drawn: Scenario) -> None:
     model = make_nominal_plant(drawn)
-    motion, chain = make_motion(drawn, model.coordinates), ClosedChain(model, drawn, true=False)
+    motion, chain = make_motion(make_mission(drawn)), ClosedChain(model, drawn, true=False)
     nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
     step, times = 1e-4, np.linspace(0.0, motion.end, 23)
     rows = motion.rows(times)

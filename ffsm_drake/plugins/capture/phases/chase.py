@@ -15,7 +15,7 @@ from ffsm_drake.plugins.capture.tracked_target import Approached, TrackedTarget
 from ffsm_drake.runs.ending import MISSED, Outcome
 from ffsm_drake.runs.phases import Phase, Situation
 from ffsm_drake.scenario import EMPTY, Capture, Grip, Posture, Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.planned_motion import InTurn, PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
@@ -33,44 +33,43 @@ class Move:
     goal: Posture
     velocity: np.ndarray | None = None  # (nv) at the start
 
-    def motion(self, scenario: Scenario, coordinates: Coordinates) -> PolynomialMotion:
+    def motion(self, mission: Mission) -> PolynomialMotion:
         """As a function of the time since its begin."""
         return PolynomialMotion(
-            coordinates=coordinates,
+            coordinates=mission.craft.coordinates,
             start=self.start,
             target=self.goal,
-            blend=Blend(scenario.reference, self.duration),
+            blend=Blend(mission.scenario.reference, self.duration),
             base_rotation="eigenaxis",
-            sample_time=scenario.sample_time,
+            sample_time=mission.scenario.sample_time,
             velocity=self.velocity,
         )
 
 
 def along(
     moves: Sequence[Move],
-    plan: Scenario,
-    coordinates: Coordinates,
+    mission: Mission,
     grip: Grip,
     *,
     again: float | None,
 ) -> PlannedMotion:
-    """Along moves, and from the time ``again`` (s) on, if it is given, along a scenario's plan."""
+    """Along moves, and from the time ``again`` (s) on, if it is given, along a mission's plan."""
     motions: list[tuple[float, PlannedMotion]] = [
-        (move.begin, move.motion(plan, coordinates)) for move in moves
+        (move.begin, move.motion(mission)) for move in moves
     ]
     begin = end = moves[-1].begin + moves[-1].duration
     if again is not None:
-        own = make_motion(plan, coordinates, grip)
+        own = make_motion(mission, grip)
         motions.append((again, own))
         begin, end = again + own.begin, again + own.end
-    return InTurn(motions, begin=begin, end=end, sample_time=plan.sample_time)
+    return InTurn(motions, begin=begin, end=end, sample_time=mission.scenario.sample_time)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
 class Chase:
     """What passes from phase to phase of a capture."""
 
-    scenario: Scenario  # of the mission
+    mission: Mission
     aim: Aim  # of the last try
     path: np.ndarray  # (n, 13) motion of the target at the samples, as far as is known
     known: Path | None = None  # as the servicer knows it
@@ -80,6 +79,11 @@ class Chase:
     again: float | None = None  # s; begin of the approach after it
     why: Outcome | None = None  # of it
     reach: float = 0.0  # m; from the base to the centre of mass of the target at the grasp
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario of the mission."""
+        return self.mission.scenario
 
     @property
     def capture(self) -> Capture:
@@ -167,10 +171,10 @@ def phase_of(
     ``Chase.followed``; fields.
     """
     chase: Chase = now.own
-    plan, motion = chase.aim.scenario, None
+    plan, motion = chase.aim.mission, None
     own: dict[str, Factory] = {}
     if chase.moves:
-        motion = along(chase.moves, plan, now.stage.coordinates, grip, again=chase.again)
+        motion = along(chase.moves, plan, grip, again=chase.again)
         own = chase.supervised(begin=chase.moves[0].begin if chase.again is None else chase.again)
     own |= blocks or {}
     if chase.expected is not None:
@@ -178,9 +182,7 @@ def phase_of(
         motion = None
     elif not grip.holds:
         afresh = (*afresh, "reference")
-    return Phase(
-        names=names, scenario=plan, motion=motion, blocks=own, grip=grip, afresh=afresh, **how
-    )
+    return Phase(names=names, plan=plan, motion=motion, blocks=own, grip=grip, afresh=afresh, **how)
 
 
 def given_up(now: Situation) -> str:
@@ -199,7 +201,7 @@ def met(now: Situation) -> tuple[str, Situation]:
     if since := given_up(now):
         return failed(now, MISSED, f"is not met: {since}")
     target = target_at(chase.path[now.sample])
-    meeting = Meeting.of(chase.aim.scenario, target, now.stage)
+    meeting = Meeting.of(chase.scenario, target, now.stage)
     if beyond := meeting.beyond(chase.capture.envelope):
         return failed(now, MISSED, f"is missed: {beyond}")
     return "met", now

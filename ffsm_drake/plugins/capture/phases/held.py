@@ -13,9 +13,9 @@ from ffsm_drake.plugins.capture.phases.chase import Chase, phase_of, replaced
 from ffsm_drake.runs.limits import closest_of
 from ffsm_drake.runs.phases import Phase, Situation, Stop
 from ffsm_drake.runs.stage import Stage
-from ffsm_drake.scenario import HELD, Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates, halves
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.scenario import HELD
+from ffsm_drake.spacecraft.coordinates import halves
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.plant import posture_of
 from ffsm_drake.systems.limits import actuation_limit
 from ffsm_drake.systems.reference import make_motion
@@ -41,8 +41,8 @@ class Held(Stop):
             return now
         chase: Chase = now.own
         target = target_at(chase.path[now.sample]) if chase.closing else chase.aim.target
-        meeting = Meeting.of(chase.aim.scenario, target, now.stage)
-        made = meeting.grasp(chase.aim.scenario, stage.model(), chase.path[: now.sample])
+        meeting = Meeting.of(chase.scenario, target, now.stage)
+        made = meeting.grasp(chase.aim.mission.scenario, stage.model(), chase.path[: now.sample])
         assert made.contact is not None
         state = np.concatenate([meeting.q, made.contact.grasp.velocity])
         stage.place(state)
@@ -55,11 +55,11 @@ class Held(Stop):
         return dataclasses.replace(now, made=made)
 
 
-def _at_rest_in_gripper(now: Situation) -> Scenario:
-    """The scenario of a stop with the target at rest in the gripper, in the measured state."""
+def _at_rest_in_gripper(now: Situation) -> Mission:
+    """The mission of a stop with the target at rest in the gripper, in the measured state."""
     chase: Chase = now.own
-    scenario = chase.aim.scenario
-    model = make_nominal_plant(scenario)
+    mission = chase.aim.mission
+    scenario, model = mission.scenario, mission.craft.nominal()
     q, v = halves(now.stage.measured)
     body = payload_body(scenario, model)
     w, v_P = np.split(model.calc_jacobian(q, body.body_frame()) @ v, 2)
@@ -70,29 +70,28 @@ def _at_rest_in_gripper(now: Situation) -> Scenario:
         arm,
         servicer="given",
         servicer_velocity=model.coordinates.by_name(v),
-        approach=given_approach(scenario),
+        approach=given_approach(mission),
     )
-    scenario = dataclasses.replace(
-        scenario, initial_posture=posture_of(q, model.coordinates), capture=capture
-    )
-    return _with_clear_stop(scenario, model.coordinates)
+    posture = posture_of(q, model.coordinates)
+    return _with_clear_stop(mission.flown_by(initial_posture=posture, capture=capture))
 
 
-def _with_clear_stop(scenario: Scenario, coordinates: Coordinates) -> Scenario:
-    """The scenario with a stop that keeps clear (a slow stop of a tumbling target swings far).
+def _with_clear_stop(mission: Mission) -> Mission:
+    """The mission with a stop that keeps clear (a slow stop of a tumbling target swings far).
 
     Its duration is the nearest to ``reference.duration`` with a plan within clearance and limits of
-    force; the scenario's own without one.
+    force; the mission's own without one.
     """
+    scenario, coordinates = mission.scenario, mission.craft.coordinates
     duration = scenario.reference.duration
     if duration is None or scenario.reference.kind == "optimal":
-        return scenario
-    model = make_nominal_plant(scenario)
+        return mission
+    model = mission.craft.nominal()
     limit = actuation_limit(scenario, coordinates, helped=True).upper
     for factor in _PACES:
         reference = dataclasses.replace(scenario.reference, duration=factor * duration)
-        paced = dataclasses.replace(scenario, reference=reference)
-        motion = make_motion(paced, coordinates)
+        paced = mission.flown_by(reference=reference)
+        motion = make_motion(paced)
         if motion.end > scenario.duration:
             continue
         times = np.linspace(motion.begin, motion.end, _INSTANTS)
@@ -102,4 +101,4 @@ def _with_clear_stop(scenario: Scenario, coordinates: Coordinates) -> Scenario:
             each.keeps(scenario.clearance) for each in closest_of(scenario, times, q)
         ):
             return paced
-    return scenario
+    return mission

@@ -11,9 +11,8 @@ from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.capture.approach import approach_posture
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
 from ffsm_drake.runs.phases import Phase
-from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.resolving import build_settings
-from ffsm_drake.spacecraft.nominal import PlantModel, make_nominal_plant
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.setup import BlockSetup
@@ -42,20 +41,19 @@ class Hold(PlannedMotion):
     grasp and the joints at the start of the approach.
     """
 
-    def __init__(
-        self, scenario: Scenario, model: PlantModel, settings: Settings, *, begin: float, end: float
-    ) -> None:
-        """Args: nominal model with the target; begin and end in the run, s."""
+    def __init__(self, mission: Mission, settings: Settings, *, begin: float, end: float) -> None:
+        """Args: begin and end in the run, s."""
+        scenario, model = mission.scenario, mission.craft.nominal()
         coordinates, period = model.coordinates, scenario.sample_time
-        X_WP, path = target_path(scenario, model, planned_contact(scenario, model))
+        X_WP, path = target_path(scenario, model, planned_contact(mission, model))
         grasp, arm = scenario.initial_posture, np.array(scenario.payload.truth.center_of_mass)
         place, center = np.array(grasp.base_position), X_WP @ arm
         away = np.array(settings.direction) if settings.direction else place - center
         place = place + settings.distance * away / np.linalg.norm(away)
         posture = dataclasses.replace(
-            approach_posture(scenario), base_position=place.tolist(), base_rpy=grasp.base_rpy
+            approach_posture(mission), base_position=place.tolist(), base_rpy=grasp.base_rpy
         )
-        self._q = configuration(model.plant, posture, key="capture.approach.posture")
+        self._q = configuration(model.coordinates, posture, key="capture.approach.posture")
         self._begin = begin
         self._way: CubicSpline | None = None
         if settings.relative == "target":
@@ -76,7 +74,7 @@ class Hold(PlannedMotion):
 
 def hold(setup: BlockSetup) -> Phase:
     """The kind ``hold``: the approach begins where it ends."""
-    scenario, phases = setup.scenario, setup.scenario.blocks.phases
+    phases = setup.scenario.blocks.phases
     settings = build_settings(Settings, dict(setup.settings), f"phases.{setup.name}")
     if settings.direction and not (
         len(settings.direction) == 3 and np.linalg.norm(settings.direction) > 0.0
@@ -84,6 +82,5 @@ def hold(setup: BlockSetup) -> Phase:
         raise ScenarioError(f"phases.{setup.name}.direction", "must have 3 numbers, not all zero")
     names = list(phases)
     before = sum(phases[name].duration for name in names[: names.index(setup.name)])
-    model = make_nominal_plant(scenario)
     end = before + phases[setup.name].duration
-    return Phase(motion=Hold(scenario, model, settings, begin=before, end=end), joins=True)
+    return Phase(motion=Hold(setup.mission, settings, begin=before, end=end), joins=True)

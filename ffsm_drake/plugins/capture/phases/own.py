@@ -10,7 +10,7 @@ from ffsm_drake.common.guard import calling
 from ffsm_drake.plugins.capture.displacement import Joined
 from ffsm_drake.runs.phases import Phase
 from ffsm_drake.scenario import EMPTY, Scenario
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.mission import Mission, planned
 from ffsm_drake.systems.planned_motion import InTurn, PlannedMotion
 from ffsm_drake.systems.registry import call_factory, find_factory
 from ffsm_drake.systems.setup import BlockSetup
@@ -33,19 +33,20 @@ class _Rest(PlannedMotion):
         return np.tile(self._row, (times.size, 1))
 
 
-def phases_before(scenario: Scenario) -> dict[str, Phase]:
-    """The scenario's phases before its approach, by name, as their factories return them.
+@planned
+def phases_before(mission: Mission) -> dict[str, Phase]:
+    """The phases of a mission before its approach, by name, as their factories return them.
 
     Raises ScenarioError or BlockError: a factory is unknown, fails, or returns something else.
     """
-    found = dict[str, Phase]()
+    scenario, found = mission.scenario, dict[str, Phase]()
     for name, given in scenario.blocks.phases.items():
         key = _key(scenario, name)
         if _OF_A_CAPTURE.fullmatch(name):
             raise ScenarioError(key, f"'{name}' is a phase of every capture; rename it")
         factory = find_factory("phases", given.system, key=key, python_path=scenario.python_path)
-        nominal = make_nominal_plant(scenario, EMPTY)
-        setup = BlockSetup(name=name, scenario=scenario, nominal=nominal, settings=given.settings)
+        nominal = mission.craft.nominal(EMPTY)
+        setup = BlockSetup(name=name, mission=mission, nominal=nominal, settings=given.settings)
         phase = call_factory(factory, setup, place=f"{key} '{given.system}'")
         if not isinstance(phase, Phase):
             raise BlockError(f"{key} '{given.system}' must be a Phase, not {type(phase).__name__}")
@@ -59,11 +60,12 @@ def phases_before(scenario: Scenario) -> dict[str, Phase]:
     return found
 
 
-def with_phases(scenario: Scenario, approach: PlannedMotion) -> PlannedMotion:
+def with_phases(mission: Mission, approach: PlannedMotion) -> PlannedMotion:
     """An approach with the motions of the phases before it. Raises the errors of
     ``phases_before``, and BlockError for a motion that does not end where the next begins.
     """
-    found, period, begin = phases_before(scenario), scenario.sample_time, scenario.grasp_time
+    found, scenario = phases_before(mission), mission.scenario
+    period, begin = scenario.sample_time, scenario.grasp_time
     begin -= approach.end
     motions = [(begin, approach)]
     for name, phase in reversed(found.items()):

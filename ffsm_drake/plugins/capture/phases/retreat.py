@@ -24,9 +24,9 @@ from ffsm_drake.runs.ending import MISSED
 from ffsm_drake.runs.limits import closest_of
 from ffsm_drake.runs.phases import Phase, PhaseKind, Situation
 from ffsm_drake.runs.stage import Stage
-from ffsm_drake.scenario import EMPTY, Posture, Scenario
+from ffsm_drake.scenario import EMPTY, Posture
 from ffsm_drake.scenario.capture import Retreat as Settings
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.plant import base_body, base_rpy, configuration, posture_of
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
@@ -157,7 +157,7 @@ def _away(now: Situation, retreat: Settings) -> Move:
     straight, moves = from_target / np.linalg.norm(from_target), list[Move]()
     for direction in (straight, *(each for each in outwards(straight) if each @ straight > 0.5)):
         goal = dataclasses.replace(
-            approach_posture(scenario),
+            approach_posture(chase.mission),
             base_position=(q[4:7] + far * direction).tolist(),
             base_rpy=base_rpy(q).tolist(),
         )
@@ -171,20 +171,20 @@ def _away(now: Situation, retreat: Settings) -> Move:
         moves.append(_paced(now, move))
         last = now.sample + round(moves[-1].duration / scenario.sample_time)
         samples = np.linspace(now.sample, min(last, len(chase.path) - 1), 2 * _INSTANTS)
-        if _is_clear(now, moves[-1].motion(scenario, coordinates), samples, now.sample):
+        if _is_clear(now, moves[-1].motion(chase.mission), samples, now.sample):
             return moves[-1]
     return moves[0]
 
 
 def _paced(now: Situation, move: Move) -> Move:
     """A retreat that lasts as long as the limits ask for and the run leaves."""
-    scenario, coordinates = now.own.scenario, now.stage.coordinates
+    mission, scenario = now.own.mission, now.own.scenario
 
     def motion_in(duration: float) -> PlannedMotion:
-        return dataclasses.replace(move, duration=duration).motion(scenario, coordinates)
+        return dataclasses.replace(move, duration=duration).motion(mission)
 
     left = (scenario.num_control_periods - now.sample) * scenario.sample_time
-    duration = gentle_duration(scenario, motion_in, move.duration)
+    duration = gentle_duration(mission, motion_in, move.duration)
     return dataclasses.replace(move, duration=max(min(duration, left), move.duration))
 
 
@@ -200,8 +200,10 @@ def next_try(now: Situation, start: Posture, first: int) -> tuple[Aim, Move] | N
     stop = chosen.reference.duration or approach.duration
     earliest = first + chase.approach + round(_EVERY / period)
     latest = chosen.num_control_periods - math.ceil(stop / period)
-    X_BP = _target_from_base(chosen)
-    X_BS = _base_pose(chosen.initial_posture).inverse() @ _base_pose(approach_posture(chosen))
+    X_BP = _target_from_base(chase.mission)
+    X_BS = _base_pose(chosen.initial_posture).inverse() @ _base_pose(
+        approach_posture(chase.mission)
+    )
     X_W0 = _base_pose(start)
     candidates = []
     for sample in range(earliest, latest + 1, max(1, round(_EVERY / period))):
@@ -210,30 +212,29 @@ def next_try(now: Situation, start: Posture, first: int) -> tuple[Aim, Move] | N
         X_0S = X_W0.inverse() @ X_WB @ X_BS
         way = np.linalg.norm(X_0S.translation())
         candidates.append((way + _LENGTH * X_0S.rotation().ToAngleAxis().angle(), sample, X_WB))
-    coordinates = now.stage.coordinates
     for _, sample, X_WB in sorted(candidates, key=lambda each: each[0])[:_CANDIDATES]:
-        scenario = _try(chase, X_WB, X_WB @ X_BS, chase.known.motion[sample])
+        mission = _try(chase, X_WB, X_WB @ X_BS, chase.known.motion[sample])
         begin = sample - chase.approach
         move = Move(
             begin=first * period,
             duration=(begin - first) * period,
             start=start,
-            goal=approach_posture(scenario),
+            goal=approach_posture(mission),
         )
-        motion, margin = move.motion(scenario, coordinates), approach.margin
+        motion, margin = move.motion(mission), approach.margin
         samples = np.linspace(first, begin, _INSTANTS)
         if (
-            is_gentle(scenario, motion)
+            is_gentle(mission, motion)
             and _is_clear(now, motion, samples, first, margin=margin)
             and _is_clear(
                 now,
-                make_motion(scenario, coordinates, EMPTY),
+                make_motion(mission, EMPTY),
                 np.linspace(begin, sample - chase.closing, _INSTANTS),
                 begin,
                 margin=margin,
             )
         ):
-            return Aim(scenario, sample), move
+            return Aim(mission, sample), move
     return None
 
 
@@ -252,17 +253,17 @@ def _is_clear(
     return all(each.keeps(scenario.clearance + margin) for each in nearest)
 
 
-def _target_from_base(scenario: Scenario) -> RigidTransform:
+def _target_from_base(mission: Mission) -> RigidTransform:
     """X_BP of the target's frame in the base's, where the arm is to meet it."""
-    model = make_nominal_plant(scenario)
-    q = configuration(model.plant, scenario.initial_posture, key="initial_posture")
+    scenario, model = mission.scenario, mission.craft.nominal()
+    q = configuration(model.coordinates, scenario.initial_posture, key="initial_posture")
     model.plant.SetPositions(model.context, q)
     body = payload_body(scenario, model).body_frame()
     return RigidTransform(body.CalcPose(model.context, base_body(model.plant).body_frame()))
 
 
-def _try(chase: Chase, X_WB: RigidTransform, X_WS: RigidTransform, motion: np.ndarray) -> Scenario:
-    """The scenario of a further try, with the base at X_WS where its approach begins, at X_WB where
+def _try(chase: Chase, X_WB: RigidTransform, X_WS: RigidTransform, motion: np.ndarray) -> Mission:
+    """The mission of a further try, with the base at X_WS where its approach begins, at X_WB where
     it ends, and the target then in a motion (13).
     """
     chosen, approach = chase.scenario, chase.scenario.approach
@@ -270,13 +271,13 @@ def _try(chase: Chase, X_WB: RigidTransform, X_WS: RigidTransform, motion: np.nd
     w, v_P = np.split(motion[7:], 2)
     # ``capture.velocity`` refers to the true centre of mass; used only to recover v_P
     arm = matrix_of(motion[:4]) @ chase.arm
-    posture = _placed(approach_posture(chosen), X_WS)
+    posture = _placed(approach_posture(chase.mission), X_WS)
     approach = dataclasses.replace(approach, posture=posture, start="given")
     capture = chase.capture_of(w, v_P, arm, approach=approach)
     posture = _placed(chosen.initial_posture, X_WB)
     blocks = dataclasses.replace(chosen.blocks, phases={})
-    return dataclasses.replace(
-        chosen, initial_posture=posture, capture=capture, blocks=blocks, phases=[]
+    return chase.mission.flown_by(
+        initial_posture=posture, capture=capture, blocks=blocks, phases=[]
     )
 
 

@@ -21,7 +21,7 @@ from ffsm_drake.scenario import (
     scenario_from_dict,
     scenario_to_dict,
 )
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import make_law
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
@@ -62,7 +62,7 @@ class AxisSearch:
         on_price: Callable[[], None],
     ) -> None:
         self._scenario, self._demand, self._kind = scenario, demand, kind
-        planned = PlannedDynamics(scenario)
+        planned = PlannedDynamics(Mission(scenario))
         coordinates = demand.coordinates
         # The cost of a unit of Hhat^-1 tau: columns of Hhat at mid-motion.
         nominal = planned.mass_matrices(planned.motion.part(0.5))[1]
@@ -181,7 +181,8 @@ def one_sample_law(scenario: Scenario) -> TimeDelayControl | None:
     axis.
     """
     one_sample = dataclasses.replace(scenario, estimator=Estimator())
-    law = getattr(make_law(one_sample, make_nominal_plant(scenario)), "by_axis", None)
+    mission = Mission(one_sample)
+    law = getattr(make_law(mission, mission.craft.nominal()), "by_axis", None)
     return law if law is not None and law.dynamics.gains_for(1.0, 1.0) else None
 
 
@@ -202,7 +203,10 @@ class _Axis:
         mass: np.ndarray,
         room: np.ndarray,
     ) -> None:
-        part, sensing = demand.coordinates.groups[group], smooth_sensing(scenario)
+        part, sensing = (
+            demand.coordinates.groups[group],
+            smooth_sensing(scenario, demand.coordinates),
+        )
         self.kalman, self.period = kind == "kalman", scenario.sample_time
         self.law, self.weight = of_axes(law, [part.start]), weight
         self.etas = np.append(etas, 1.0)[:, None]
@@ -298,7 +302,7 @@ def eta_range(scenario: Scenario, masses: list[float]) -> np.ndarray:
     """
     spread = list[np.ndarray]()
     for mass in masses:
-        planned = PlannedDynamics(with_true_mass(scenario, mass))
+        planned = PlannedDynamics(Mission(with_true_mass(scenario, mass)))
         spread += [planned.ratios(planned.motion.part(share)) for share in (0.0, 0.5, 1.0)]
     return np.linspace(np.min(spread) / _WIDER, np.max(spread) * _WIDER, 5)
 

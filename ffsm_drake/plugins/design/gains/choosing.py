@@ -56,6 +56,7 @@ from ffsm_drake.plugins.design.stability.prediction import Prediction, predict_n
 from ffsm_drake.plugins.design.stability.rehearsal import rehearse
 from ffsm_drake.scenario import Scenario, checked
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import complete_gains
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 from ffsm_drake.systems.limits import actuation_limit
@@ -151,7 +152,10 @@ class _Search:
     ) -> None:
         begin = time.monotonic()
         self._asked, self._predict_mission, self._progress = budget, predict_mission, progress
-        self._demand, self._masses = make_demand(scenario), _masses(scenario, payload_range)
+        self._demand, self._masses = (
+            make_demand(Mission(scenario)),
+            _masses(scenario, payload_range),
+        )
         limit = self._demand.coordinates.vector(
             scenario.actuation.limit or {}, key="actuation.limit", default=np.inf
         )

@@ -8,7 +8,8 @@ import numpy as np
 from ffsm_drake.plugins.design.gains.requirement import DesignPoint, Requirement
 from ffsm_drake.plugins.design.rounding import rounded_by_group
 from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.craft import Craft
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import declared_gains, make_law
 
 # Prices of effort, and factors by which gains are varied.
@@ -89,7 +90,8 @@ def _tunable(scenario: Scenario) -> list[str]:
         for name, gain in declared_gains(scenario).items()
         if gain.feedback and not gain.bound and not gain.scalar
     ]
-    law = make_law(scenario, make_nominal_plant(scenario))
+    mission = Mission(scenario)
+    law = make_law(mission, mission.craft.nominal())
     return [*names, *getattr(law, "random_walks", ())]
 
 
@@ -97,7 +99,7 @@ def _scaled(scenario: Scenario, name: str, factors: Mapping[str, float]) -> Scen
     """The scenario with one tunable value times a factor by group, and likewise the upper bound of
     an adapted gain.
     """
-    coordinates = make_nominal_plant(scenario).coordinates
+    coordinates = Craft(scenario).coordinates
     factor = coordinates.vector(factors, key=name, default=1.0)
     data: dict[str, Any] = scenario_to_dict(scenario)
     gains = data["controllers"][scenario.controller_key]

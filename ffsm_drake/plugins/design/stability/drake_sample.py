@@ -16,7 +16,8 @@ from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.plugins.actuators.drives import FRICTION
 from ffsm_drake.plugins.design.stability.discrete_groups import Groups
 from ffsm_drake.plugins.design.stability.linear_loop import NotLinear, TooLarge
-from ffsm_drake.scenario import Grip, MassProperties, Scenario
+from ffsm_drake.scenario import Grip, MassProperties
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers.law import ControlLaw, is_shipped
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.registry import Factory
@@ -40,14 +41,14 @@ class DrakeSample:
 
     def __init__(
         self,
-        scenario: Scenario,
+        mission: Mission,
         motion: PlannedMotion,
         grip: Grip,
         *,
         blocks: Mapping[str, Factory],
     ) -> None:
         """Args:
-          scenario: the scenario, without what has no derivative.
+          mission: the mission, without what has no derivative.
           motion: its motion.
           grip: what holds the target.
           blocks: factories in place of its blocks.
@@ -55,8 +56,9 @@ class DrakeSample:
         Raises the errors of ``add_closed_loop``; NotLinear for a block with continuous or abstract
         state, and TooLarge.
         """
+        scenario = mission.scenario
         self.motion, self.sample_time = motion, scenario.sample_time
-        self.loop = make_closed_loop(scenario, blocks=blocks, grip=grip)
+        self.loop = make_closed_loop(mission, blocks=blocks, grip=grip)
         self.blocks, self._fastest = set(self.loop.blocks), scenario.divergence_speed
         self.coordinates, self.hidden_names = self.loop.coordinates, self.loop.split.names
         self._controller = self.loop.blocks["controller"]

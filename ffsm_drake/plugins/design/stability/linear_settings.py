@@ -9,20 +9,23 @@ import numpy as np
 
 from ffsm_drake.plugins.estimators.assumed_noise import assumed_noise
 from ffsm_drake.scenario import Actuation, Drives, Estimator, PerCoordinate, Scenario, Sensing
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.mission import Mission
 
 _T = TypeVar("_T", Actuation, Drives)
 # Settings of actuation and drives without a derivative: the linear loop has their defaults.
 NOT_LINEAR = {"actuation": ("limit", "quantization"), "drives": ("rate_limit",)}
 
 
-def without_limits(scenario: Scenario) -> Scenario:
+def without_limits(mission: Mission) -> Scenario:
     """The scenario without quantisation, supervisor and faults, with the defaults of
     ``NOT_LINEAR``.
     """
-    sensing, estimator, actuation = smooth_sensing(scenario), scenario.estimator, scenario.actuation
+    scenario, coordinates = mission.scenario, mission.craft.coordinates
+    sensing = smooth_sensing(scenario, coordinates)
+    estimator, actuation = scenario.estimator, scenario.actuation
     if sensing is not scenario.sensing:  # the estimator keeps its assumptions
-        estimator = _with_assumptions(scenario)
+        estimator = _with_assumptions(scenario, coordinates)
     if actuation.drives is not None:
         drives = _with_defaults(actuation.drives, NOT_LINEAR["drives"])
         actuation = dataclasses.replace(actuation, drives=drives)
@@ -42,12 +45,11 @@ def _with_defaults(settings: _T, names: Sequence[str]) -> _T:
     return dataclasses.replace(settings, **{name: getattr(default, name) for name in names})
 
 
-def smooth_sensing(scenario: Scenario) -> Sensing:
+def smooth_sensing(scenario: Scenario, names: Coordinates) -> Sensing:
     """The sensors with the variance of the quantisation's sawtooth as noise in its place."""
     sensing = scenario.sensing
     if not any((*sensing.position_quantization.values(), *sensing.velocity_quantization.values())):
         return sensing
-    names = make_nominal_plant(scenario).coordinates
 
     def noise(part: str) -> PerCoordinate:
         sigma, step = (
@@ -65,9 +67,8 @@ def smooth_sensing(scenario: Scenario) -> Sensing:
     )
 
 
-def _with_assumptions(scenario: Scenario) -> Estimator:
+def _with_assumptions(scenario: Scenario, coordinates: Coordinates) -> Estimator:
     """The estimator with the noises that it takes from the sensors written out."""
-    coordinates = make_nominal_plant(scenario).coordinates
     position, velocity = assumed_noise(scenario, coordinates)
     return dataclasses.replace(
         scenario.estimator,

@@ -7,7 +7,6 @@ under adaptation, sign terms) is constant. Noise is an input. The map is exact w
 compiled, else it is made of finite differences (``sampled_loop``).
 """
 
-import dataclasses
 import functools
 import math
 from collections.abc import Hashable, Mapping, Sequence
@@ -36,7 +35,7 @@ from ffsm_drake.plugins.design.stability.sampled_loop import (
 )
 from ffsm_drake.scenario import EMPTY, Grip, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import position_errors
-from ffsm_drake.spacecraft.nominal import make_nominal_plant
+from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.systems.faults import settle_faults
 from ffsm_drake.systems.reference import make_motion, timed
 from ffsm_drake.systems.registry import Factory
@@ -55,14 +54,14 @@ class Linearizer:
     @guarded
     def __init__(
         self,
-        scenario: Scenario,
+        scenario: Scenario | Mission,
         *,
         blocks: Mapping[str, Factory] | None = None,
         approach: bool = False,
         closed: float | None = None,
     ) -> None:
         """Args:
-          scenario: the scenario.
+          scenario: the scenario, or its mission.
           blocks: factories in place of its blocks.
           approach: use its approach, the servicer alone before the grasp, in place of the motion
             from the grasp on.
@@ -72,14 +71,16 @@ class Linearizer:
         state.
         """
         # with limits
-        given, self.grip = from_grasp(scenario)
+        mission = make_mission(scenario)
+        given, self.grip = from_grasp(mission)
         if approach:  # up to the grasp, with an empty gripper
-            given = dataclasses.replace(scenario, duration=scenario.grasp_time)
+            given = mission.flown_by(duration=mission.scenario.grasp_time)
             self.grip = EMPTY
         if closed is not None:
             self.grip = Grip(closed=closed)
-        self.given = timed(given, self.grip)
-        self.scenario = without_limits(self.given)
+        self._before = timed(given, self.grip)
+        self.mission = self._before.of(without_limits(self._before))
+        self.given, self.scenario = self._before.scenario, self.mission.scenario
         factories = dict(blocks or {})
         others = {*factories, *parts_of(self.scenario, factories)}
         if is_rehearsed(self.given):
@@ -87,10 +88,10 @@ class Linearizer:
         for name, part in parts_of(self.scenario, factories).items():
             factories[name] = part.linear()
         self._choices = self.given.blocks.choices()
-        sample = None if others else traced_sample(self.scenario, self.given, self.grip)
+        sample = None if others else traced_sample(self.mission, self._before, self.grip)
         if sample is None:
-            self.coordinates = make_nominal_plant(self.scenario).coordinates
-            self.motion = make_motion(self.scenario, self.coordinates, self.grip)
+            self.coordinates = self.mission.craft.coordinates
+            self.motion = make_motion(self.mission, self.grip)
         else:
             self.coordinates, self.motion = sample.coordinates, sample.motion
         self._loop = self._made(sample, factories)
@@ -109,11 +110,11 @@ class Linearizer:
         """The loop as code if there is a traced sample, else as Drake's diagram."""
 
         def on_drake() -> SampledLoop:
-            own = DrakeSample(self.scenario, self.motion, self.grip, blocks=blocks)
-            return SampledLoop(own, self.scenario, self.grip)
+            own = DrakeSample(self.mission, self.motion, self.grip, blocks=blocks)
+            return SampledLoop(own, self.mission, self.grip)
 
         if sample is not None:
-            loop = SampledLoop(sample, self.scenario, self.grip)
+            loop = SampledLoop(sample, self.mission, self.grip)
             if agrees(loop, on_drake):
                 return loop
         return on_drake()
@@ -301,7 +302,7 @@ class Linearizer:
         """The scenario's dynamics along its planned motion. Raises the errors of
         PlannedDynamics.
         """
-        return PlannedDynamics(self.given, self.grip)
+        return PlannedDynamics(self._before, self.grip)
 
     @functools.cached_property
     def lightest(self) -> list[float]:

@@ -14,7 +14,7 @@ from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.scenario import Scenario, override_scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, tightest
-from ffsm_drake.spacecraft.nominal import make_true_plant
+from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.systems.controllers import complete_gains, controller_factory, gain_vectors
 from ffsm_drake.systems.limits import actuation_limit, limits_of
 from ffsm_drake.systems.parts.advice import Advice, GroupLoad, Load
@@ -50,26 +50,26 @@ def predicted_load(linearizer: Linearizer) -> float | None:
     begin = answer * scenario.sample_time
     times = np.linspace(begin, max(begin, min(motion.end, scenario.duration)), _INSTANTS)
     _, ideal = linearizer.planned.perfect_tracking(times)
-    plant = make_true_plant(scenario).plant
-    limit = tightest(limits_of(scenario, plant, helped=True), FORCE)
+    limit = tightest(limits_of(linearizer.planned.mission, helped=True), FORCE)
     share = np.abs(np.concatenate([force, ideal])) / limit.upper
     return float(np.nan_to_num(share, nan=np.inf).max())
 
 
 def advice(
-    scenario: Scenario, saturated: Mapping[str, float], *, settles: bool
+    given: Scenario | Mission, saturated: Mapping[str, float], *, settles: bool
 ) -> tuple[Advice, ...]:
     """Remedies for saturated actuators of the base, from the actuators' own advice.
 
     Args:
-      scenario: the mission.
+      given: the scenario, or its mission.
       saturated: the share of saturated samples, by an actuator's title in lower case.
       settles: whether the mission settles nonetheless; then only heavy saturation calls for a
         change.
 
     Raises: as ``PlannedDynamics``.
     """
-    least = _LARGE if settles else _NOTABLE
+    mission = make_mission(given)
+    scenario, least = mission.scenario, _LARGE if settles else _NOTABLE
     parts = [
         part
         for part in base_actuators(scenario).values()
@@ -77,7 +77,7 @@ def advice(
     ]
     if not parts or scenario.blocks.reference is not None:
         return ()
-    load = _base_load(timed(scenario))
+    load = _base_load(timed(mission))
     found = {str(each): each for part in parts[::-1] for each in part.advice(scenario, load)}
     return tuple(sorted(found.values(), key=lambda each: "controller" in each.changes))
 
@@ -92,9 +92,9 @@ def saturated_shares(scenario: Scenario, signals: Signals) -> dict[str, float]:
     }
 
 
-def _base_load(scenario: Scenario) -> Load:
+def _base_load(mission: Mission) -> Load:
     """The load of a mission on its base's actuators, and changes that reduce it."""
-    planned = PlannedDynamics(*from_grasp(scenario))
+    scenario, planned = mission.scenario, PlannedDynamics(*from_grasp(mission))
     coordinates, peak = planned.coordinates, _motion_peak(planned)
     limit = actuation_limit(scenario, coordinates).upper
     noise = coordinates.vector(
@@ -116,7 +116,7 @@ def _base_load(scenario: Scenario) -> Load:
         other = Advice(changes={"controller": "tdc"}, reason="or this law, which has no integral")
     return Load(
         groups=groups,
-        slower=_slower(scenario, groups),
+        slower=_slower(mission, groups),
         softer=dict(_softer(scenario, coordinates, groups)),
         other_law=other,
     )
@@ -130,10 +130,11 @@ def _motion_peak(planned: PlannedDynamics) -> np.ndarray:
     return np.abs(force).max(axis=0)
 
 
-def _slower(scenario: Scenario, groups: Mapping[str, GroupLoad]) -> Advice | None:
+def _slower(mission: Mission, groups: Mapping[str, GroupLoad]) -> Advice | None:
     """A longer motion, whose peak leaves a third of the limits, where the given one takes more and
     there is one.
     """
+    scenario = mission.scenario
     given = scenario.reference.duration or 0.0
     used = max((each.motion / each.limit for each in groups.values()), default=0.0)
     if used <= _MOST or scenario.reference.kind == "optimal":
@@ -147,7 +148,7 @@ def _slower(scenario: Scenario, groups: Mapping[str, GroupLoad]) -> Advice | Non
             "reference.duration": float(duration),
             "duration": scenario.duration + duration - given,
         }
-        planned = PlannedDynamics(*from_grasp(override_scenario(scenario, [changes])))
+        planned = PlannedDynamics(*from_grasp(mission.of(override_scenario(scenario, [changes]))))
         peak, own = _motion_peak(planned), planned.coordinates.groups
         used = max(float(peak[own[name]].max()) / each.limit for name, each in groups.items())
     return Advice(changes=changes, reason=f"{reason}{used:.2g}")

@@ -35,6 +35,7 @@ from ffsm_drake.plugins.design.stability.rehearsal import Rehearsal, rehearse
 from ffsm_drake.plugins.flexible.bodies import VibrationMode
 from ffsm_drake.scenario import Scenario, checked
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.systems.controllers.checked import reaching_gain_of
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 
@@ -207,14 +208,14 @@ class Margins:
 
 @guarded
 def stability(
-    scenario: Scenario, *, postures: int = 21, linearizer: Linearizer | None = None
+    scenario: Scenario | Mission, *, postures: int = 21, linearizer: Linearizer | None = None
 ) -> Margins:
     """Compute the stability margins of the sampled loop, with any controller and blocks.
 
     It takes about a second.
 
     Args:
-      scenario: the scenario.
+      scenario: the scenario, or its mission.
       postures: number of instants of the planned motion at which inertia ratios are computed.
       linearizer: linearizer of the scenario after the grasp; default: a new one.
 
@@ -231,10 +232,12 @@ def stability(
       ('stable for small errors', True)
     """
     if linearizer is None:
-        scenario = checked(scenario)
-        with Linearizer(scenario) as own:
-            return stability(scenario, postures=postures, linearizer=own)
-    (scenario, _), planned = from_grasp(scenario), linearizer.planned
+        mission = make_mission(scenario)
+        mission = mission.of(checked(mission.scenario))
+        with Linearizer(mission) as own:
+            return stability(mission, postures=postures, linearizer=own)
+    (mission, _), planned = from_grasp(make_mission(scenario)), linearizer.planned
+    scenario = mission.scenario
     true, motion = planned.true, planned.motion
     times = np.linspace(motion.begin, motion.end, postures)
     eta = locked = np.array([planned.ratios(time) for time in times])
@@ -254,7 +257,7 @@ def stability(
         at_bounds = linearizer.at(motion.part(POSTURES[worst]), held=bounds).spectral_radius
     radius = max(loop.spectral_radius for loop in (*loops, *expected))
     if is_rehearsed(scenario) and radius < 1.0:
-        rehearsal = rehearse(scenario, on_drake=False)
+        rehearsal = rehearse(mission, on_drake=False)
     return Margins(
         scenario=scenario,
         coordinates=planned.coordinates,

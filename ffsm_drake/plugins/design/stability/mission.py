@@ -31,6 +31,7 @@ from ffsm_drake.plugins.design.stability.moving import (
 )
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import closing_contacts, closing_times
+from ffsm_drake.spacecraft.mission import Mission, make_mission
 
 Leg = Literal["approach", "stop", "motion"]
 Status = Literal["stable", "errors grow", "cannot say", "unstable"]
@@ -89,33 +90,37 @@ class LinearVerdict:
 
 
 @step("checking the linear loop")
-def linear_verdict(scenario: Scenario, linearizer: Linearizer | None = None) -> LinearVerdict:
+def linear_verdict(
+    scenario: Scenario | Mission, linearizer: Linearizer | None = None
+) -> LinearVerdict:
     """The linear verdict on all legs of a mission; a fraction of a second to a second.
 
-    Args: the mission; its linearizer from the grasp on, default: a new one.
+    Args: the scenario, or its mission; the linearizer from the grasp on, default: a new one.
 
     Raises:
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: a user-supplied block cannot be loaded, built or wired.
     """
-    leg: Leg = "stop" if scenario.grasps else "motion"
-    approach = (_leg(scenario, "approach", None),) if scenario.grasp_time > 0.0 else ()
+    mission = make_mission(scenario)
+    given = mission.scenario
+    leg: Leg = "stop" if given.grasps else "motion"
+    approach = (_leg(mission, "approach", None),) if given.grasp_time > 0.0 else ()
     open_ = []
-    for time, end in itertools.pairwise(closing_times(scenario)):
-        found = _leg(scenario, leg, None, closed=time)
+    for time, end in itertools.pairwise(closing_times(given)):
+        found = _leg(mission, leg, None, closed=time)
         told = f"{found.sentence}, up to the closing at {end:g} s"
         open_.append(dataclasses.replace(found, sentence=told))
-    return LinearVerdict(legs=(*approach, *open_, _leg(scenario, leg, linearizer)))
+    return LinearVerdict(legs=(*approach, *open_, _leg(mission, leg, linearizer)))
 
 
 def _leg(
-    scenario: Scenario, leg: Leg, linearizer: Linearizer | None, closed: float | None = None
+    mission: Mission, leg: Leg, linearizer: Linearizer | None, closed: float | None = None
 ) -> LegVerdict:
-    start = scenario.grasp_time if leg == "stop" else 0.0
+    start = mission.scenario.grasp_time if leg == "stop" else 0.0
     try:
         if linearizer is not None:
             return _verdict(linearizer, leg, start)
-        with Linearizer(scenario, approach=leg == "approach", closed=closed) as own:
+        with Linearizer(mission, approach=leg == "approach", closed=closed) as own:
             return _verdict(own, leg, start)
     except NotLinear as error:
         return LegVerdict(
@@ -163,7 +168,7 @@ def chain_growth(linearizer: Linearizer) -> str:
         return ""
     end = linearizer.motion.evaluate(linearizer.end)[0]
     return SERVICES.load("closed_chain_growth", "contacts")(
-        linearizer.scenario, linearizer.law, end, grip, loop.unit_poles
+        linearizer.mission, linearizer.law, end, grip, loop.unit_poles
     )
 
 

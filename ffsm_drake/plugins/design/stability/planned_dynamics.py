@@ -8,35 +8,31 @@ import functools
 import numpy as np
 
 from ffsm_drake.plugins.actuators.drives import DriveSet
-from ffsm_drake.scenario import WHOLE, Grip, Scenario
+from ffsm_drake.scenario import WHOLE, Grip
 from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.inertia import inertia_ratios
-from ffsm_drake.spacecraft.nominal import (
-    PlantModel,
-    make_flexible_plant,
-    make_nominal_plant,
-    make_true_plant,
-)
+from ffsm_drake.spacecraft.mission import Mission
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.disturbance import force_at, sines_of
 from ffsm_drake.systems.reference import make_motion
 
 _POINTS = 101  # instants at which the lightest coordinates are sought
 
 
-def from_grasp(scenario: Scenario) -> tuple[Scenario, Grip]:
-    """The mission that begins with a scenario's grasp, as a user would write it: without approach
+def from_grasp(mission: Mission) -> tuple[Mission, Grip]:
+    """The mission that begins with the grasp of another, as a user would write it: without approach
     and phases before it; and all its hands on the target. Unchanged without them.
     """
+    scenario = mission.scenario
     grip = Grip(closed=closing_times(scenario)[-1])
     if scenario.capture is None or scenario.approach is None:
-        return scenario, grip
+        return mission, grip
     held = dataclasses.replace(
         scenario.capture, approach=None, closing=None, retreat=None, measured=None
     )
-    alone = dataclasses.replace(
-        scenario,
+    alone = mission.flown_by(
         duration=scenario.duration - scenario.grasp_time,
         capture=held,
         blocks=dataclasses.replace(scenario.blocks, phases={}),
@@ -46,26 +42,24 @@ def from_grasp(scenario: Scenario) -> tuple[Scenario, Grip]:
 
 
 class PlannedDynamics:
-    """The nominal and the true plant of a scenario along its planned motion, undriven coordinates
+    """The nominal and the true plant of a mission along its planned motion, undriven coordinates
     free.
     """
 
-    def __init__(self, scenario: Scenario, grip: Grip = WHOLE) -> None:
+    def __init__(self, mission: Mission, grip: Grip = WHOLE) -> None:
         """Raises ModelError or ScenarioError if a model or a value cannot be used."""
-        self.scenario = scenario
-        self.nominal = driven_model(make_nominal_plant(scenario, grip))
-        self.true = driven_model(make_flexible_plant(scenario, grip))  # with hidden coordinates
+        self.mission, self.scenario = mission, mission.scenario
+        self.nominal = driven_model(mission.craft.nominal(grip))
+        self.true = driven_model(mission.craft.flexible(grip))  # with hidden coordinates
         self.coordinates = self.nominal.coordinates
-        self.motion = make_motion(scenario, self.coordinates, grip)
+        self.motion = make_motion(mission, grip)
         self._drifts = dict[bytes, np.ndarray]()
 
     @functools.cached_property
     def locked(self) -> PlantModel:
         """The true plant with its hidden coordinates locked."""
         names = self.true.split.names
-        return (
-            driven_model(make_true_plant(self.scenario, self.nominal.grip)) if names else self.true
-        )
+        return driven_model(self.mission.craft.true(self.nominal.grip)) if names else self.true
 
     def mass_matrices(self, time: float, *, locked: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """H, apparent (``calc_apparent_mass_matrix``), and Hhat (nv, nv) at a time, s."""
@@ -127,14 +121,14 @@ class Demand:
     ideal_isv: float  # effort without noise
 
 
-def make_demand(scenario: Scenario, *, points: int = 201) -> Demand:
-    """The demand of a scenario, interpolated between ``points`` instants. Raises the errors of
+def make_demand(mission: Mission, *, points: int = 201) -> Demand:
+    """The demand of a mission, interpolated between ``points`` instants. Raises the errors of
     PlannedDynamics.
     """
     from scipy.interpolate import CubicSpline  # slow to load
 
-    scenario, grip = from_grasp(scenario)
-    planned, period = PlannedDynamics(scenario, grip), scenario.sample_time
+    planned = PlannedDynamics(*from_grasp(mission))
+    scenario, period = planned.scenario, planned.scenario.sample_time
     samples = (np.arange(scenario.num_control_periods) + 0.5) * period
     knots = np.linspace(0.0, samples[-1] + 0.5 * period, points)
     both = np.hstack(planned.perfect_tracking(knots, friction=True))

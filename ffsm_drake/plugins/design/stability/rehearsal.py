@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import counted, percent, rounded_up, short
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.stability.load import saturated_shares
@@ -22,10 +21,9 @@ from ffsm_drake.runs.batches import run_many, usual_batch
 from ffsm_drake.runs.ending import Ending
 from ffsm_drake.runs.engine import Engine, find_engine
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.rollout import user_supplied
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.plant import coordinates_of, files_read, make_plant
+from ffsm_drake.spacecraft.mission import Mission, kept, make_mission
 from ffsm_drake.systems.limits import actuation_limit, base_limits
 from ffsm_drake.systems.reference import timed
 
@@ -141,13 +139,13 @@ class _Figures(NamedTuple):
     square: np.ndarray  # (nv,) mean square error after the settling time, rad^2 or m^2
 
 
-def rehearse(scenario: Scenario, *, seeds: int = SEEDS, on_drake: bool = True) -> Rehearsal | None:
+def rehearse(
+    scenario: Scenario | Mission, *, seeds: int = SEEDS, on_drake: bool = True
+) -> Rehearsal | None:
     """Run a mission with other noise sequences. A capture begins just after the grasp.
 
-    Results are kept, except with code of a user, which may have changed.
-
     Args:
-      scenario: the mission.
+      scenario: the scenario, or its mission, which keeps the results.
       seeds: number of noise sequences; at most ``FEW`` if Drake runs them or the law is called.
       on_drake: whether Drake runs what is not compiled.
 
@@ -157,20 +155,19 @@ def rehearse(scenario: Scenario, *, seeds: int = SEEDS, on_drake: bool = True) -
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: a user-supplied block fails.
     """
-    scenario = _alone(scenario)
-    if user_supplied(scenario):
-        return _rehearsed(scenario, seeds, on_drake)
-    return _shared(scenario, seeds, on_drake)
+    return _rehearsed(make_mission(scenario), seeds, on_drake)
 
 
-def shares_diverged(scenarios: Sequence[Scenario], *, seeds: int) -> list[float | Exception]:
+def shares_diverged(
+    scenarios: Sequence[Scenario | Mission], *, seeds: int
+) -> list[float | Exception]:
     """Return the share of noise sequences with divergence of each scenario, or its error (see
     ``rehearse``).
     """
-    found, runs = dict[int, float | Exception](), dict[int, list[Scenario]]()
+    found, runs = dict[int, float | Exception](), dict[int, list[Mission]]()
     for index, scenario in enumerate(scenarios):
         try:
-            runs[index] = _with_other_noise(_alone(scenario), seeds)
+            runs[index] = _with_other_noise(_alone(make_mission(scenario)), seeds)
         except Exception as error:
             found[index] = error
     engine, every = _engine(), [run for own in runs.values() for run in own]
@@ -204,15 +201,11 @@ def _is_lost(ending: Ending) -> bool:
     return not ending.excess <= FAR
 
 
-@memoized(maxsize=4, files=files_read)  # the check before a run and its report use the same
-def _shared(scenario: Scenario, seeds: int, on_drake: bool) -> Rehearsal | None:
-    """``rehearse``, with kept results."""
-    return _rehearsed(scenario, seeds, on_drake)
-
-
+@kept
 @step("running the mission with other noise sequences")
-def _rehearsed(scenario: Scenario, seeds: int, on_drake: bool) -> Rehearsal | None:
-    engine, runs, hint = _engine(), _with_other_noise(scenario, seeds), ""
+def _rehearsed(mission: Mission, seeds: int, on_drake: bool) -> Rehearsal | None:
+    alone = _alone(mission)
+    engine, runs, hint = _engine(), _with_other_noise(alone, seeds), ""
     found = None if engine is None else _compiled(engine, runs)
     logs = list[RunLog]()
     if found is not None and None in found:
@@ -233,8 +226,8 @@ def _rehearsed(scenario: Scenario, seeds: int, on_drake: bool) -> Rehearsal | No
     force = np.array([each.force for each in seen])
     endings = sorted((each.ending for each in seen), key=lambda ending: ending.excess)
     return Rehearsal(
-        scenario=scenario,
-        coordinates=coordinates_of(make_plant(scenario.model)),
+        scenario=alone.scenario,
+        coordinates=alone.craft.coordinates,
         noise_force=np.sqrt(force.var(axis=0, ddof=1).mean(axis=0))
         if len(seen) > 1
         else np.full(force.shape[-1], np.nan),
@@ -250,10 +243,10 @@ def _rehearsed(scenario: Scenario, seeds: int, on_drake: bool) -> Rehearsal | No
     )
 
 
-def _compiled(engine: Engine, runs: Sequence[Scenario]) -> list[_Figures | None] | None:
+def _compiled(engine: Engine, runs: Sequence[Mission]) -> list[_Figures | None] | None:
     """The figures of runs, None of one that diverges; None: they are not covered."""
     found, begin = list[_Figures | None](), 0
-    most = usual_batch(engine, samples=runs[0].num_control_periods)
+    most = usual_batch(engine, samples=runs[0].scenario.num_control_periods)
     while begin < len(runs):
         end, is_called = begin + (most if begin else min(FEW, most)), False
         for log in engine.run_all(runs[begin:end]):
@@ -279,14 +272,14 @@ def _figures(log: RunLog) -> _Figures:
     )
 
 
-def _alone(scenario: Scenario) -> Scenario:
+def _alone(mission: Mission) -> Mission:
     """The mission without faults and supervisor. A capture begins just after the grasp."""
-    return dataclasses.replace(timed(*from_grasp(scenario)), faults=None, supervisor=None)
+    return timed(*from_grasp(mission)).flown_by(faults=None, supervisor=None)
 
 
-def _with_other_noise(scenario: Scenario, seeds: int) -> list[Scenario]:
-    first = scenario.random_seed + _OTHERS
-    return [dataclasses.replace(scenario, random_seed=first + k) for k in range(seeds)]
+def _with_other_noise(mission: Mission, seeds: int) -> list[Mission]:
+    first = mission.scenario.random_seed + _OTHERS
+    return [mission.flown_by(random_seed=first + k) for k in range(seeds)]
 
 
 def _engine() -> Engine | None:
@@ -297,7 +290,7 @@ def _engine() -> Engine | None:
         return None
 
 
-def _on_drake(runs: Sequence[Scenario]) -> list[RunLog]:
+def _on_drake(runs: Sequence[Mission]) -> list[RunLog]:
     """The logs of runs. Raises the error of one."""
     found = list[RunLog]()
     for _, log in run_many(runs):

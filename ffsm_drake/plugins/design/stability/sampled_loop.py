@@ -18,8 +18,8 @@ from ffsm_drake.common.so3 import quaternion_rate
 from ffsm_drake.plugins.design.stability.drake_sample import DrakeSample
 from ffsm_drake.plugins.design.stability.linear_loop import WARM_UP, SampleMap
 from ffsm_drake.plugins.design.stability.users_period import period_of
-from ffsm_drake.scenario import Grip, MassProperties, Scenario
-from ffsm_drake.spacecraft.nominal import make_flexible_plant
+from ffsm_drake.scenario import Grip, MassProperties
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers.law import is_shipped
 
 # From Drake's loop after ``WARM_UP`` samples, as a share of the state's largest entry.
@@ -31,11 +31,12 @@ Held = Mapping[str, np.ndarray]  # values of held memory, in place of its own
 class SampledLoop:
     """A closed loop from sample to sample. A state is that just before a control sample."""
 
-    def __init__(self, sample: Any, scenario: Scenario, grip: Grip) -> None:
-        """Args: a sample of a scenario without what has no derivative, the scenario, and what holds
+    def __init__(self, sample: Any, mission: Mission, grip: Grip) -> None:
+        """Args: a sample of a mission without what has no derivative, the mission, and what holds
         the target.
         """
-        self.sample, self._scenario, self._grip = sample, scenario, grip
+        self.sample, self._mission, self._grip = sample, mission, grip
+        self._scenario = mission.scenario
         self.motion, self.law, self.coordinates = sample.motion, sample.law, sample.coordinates
         self.tracks_frame: bool = sample.tracks_frame
         self.hidden: tuple[str, ...] = sample.hidden_names
@@ -173,7 +174,7 @@ class SampledLoop:
         payload = self._scenario.payload
         if truth is not None:
             payload = dataclasses.replace(payload, truth=truth)
-        true = make_flexible_plant(dataclasses.replace(self._scenario, payload=payload), self._grip)
+        true = self._mission.flown_by(payload=payload).craft.flexible(self._grip)
         plant = true.plant.ToAutoDiffXd()
         context = plant.CreateDefaultContext()
         context.SetTimeStateAndParametersFrom(true.context)
@@ -191,19 +192,19 @@ class SampledLoop:
         return found
 
 
-# Of a scenario, and the scenario with its limits, in a phase: its ``TracedSample``, or None.
-TRACED_SAMPLES = Registry[Callable[[Scenario, Scenario, Grip], Any]]("traced_samples")
+# Of a mission, and the mission with its limits, in a phase: its ``TracedSample``, or None.
+TRACED_SAMPLES = Registry[Callable[[Mission, Mission, Grip], Any]]("traced_samples")
 
 
-def traced_sample(scenario: Scenario, given: Scenario, grip: Grip) -> Any:
+def traced_sample(mission: Mission, before: Mission, grip: Grip) -> Any:
     """Return the compiled sample of a phase with a shipped law; None: it is not covered. Wheels
-    give what is commanded. ``given``: the scenario with its limits.
+    give what is commanded. ``before``: the mission with its limits.
     """
     make = TRACED_SAMPLES.first()
     if make is None:
         return None
-    actuation = dataclasses.replace(scenario.actuation, wheels=None)
-    sample = make(dataclasses.replace(scenario, actuation=actuation), given, grip)
+    actuation = dataclasses.replace(mission.scenario.actuation, wheels=None)
+    sample = make(mission.flown_by(actuation=actuation), before, grip)
     if sample is None or not is_shipped(sample.law) or sample.law.least_change:
         return None
     return sample
