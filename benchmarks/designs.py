@@ -23,7 +23,7 @@ from ffsm_drake import Scenario, load_scenario
 from ffsm_drake.common.files import write_text
 from ffsm_drake.plugins.design.gains import Design, design
 from ffsm_drake.plugins.design.verdict import verdict
-from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.runs.phases import make_rollout
 
 PAIRS = (
     ("postcapture", "tdc"),

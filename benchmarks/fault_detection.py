@@ -25,7 +25,7 @@ from ffsm_drake.plugins.capture.supervisor import Cause
 from ffsm_drake.plugins.faults.detection import KINDS
 from ffsm_drake.plugins.new.asked import Asked
 from ffsm_drake.plugins.new.first_scenario import new_scenario
-from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import Fault, Scenario, load_scenario
 from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.systems.faults import settle_faults

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from ffsm_drake.common.registrations import SERVICES, offered, own_plugins
+from ffsm_drake.common.registrations import absent_need, offered, own_plugins
 
 # What a command or an error says without a plug-in.
 MISSING = re.compile(
@@ -21,15 +21,9 @@ def is_there(plugin):
 
 
 def needs(plugin):
-    """A mark of tests that are skipped where a plug-in of this package has been deleted."""
-    return pytest.mark.skipif(not is_there(plugin), reason=f"plug-in {plugin} is not installed")
-
-
-def uses(service):
-    """A mark of tests that are skipped where a service is missing, or a plug-in that it needs."""
-    return pytest.mark.skipif(
-        SERVICES.find(service) is None, reason=f"no installed plug-in offers {service}"
-    )
+    """A mark of tests that are skipped where a plug-in, or one that it needs, has been deleted."""
+    absent = absent_need(plugin)
+    return pytest.mark.skipif(absent != "", reason=f"plug-in {absent} is not installed")
 
 
 def install(folder: Path, modules: dict[str, str], groups: dict[str, dict[str, str]]) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from browser import needs_chromium, pictured
 from children import finished
-from entry_points import is_there, needs, uses
+from entry_points import is_there, needs
 
 from ffsm_drake import FfsmError, RunRecord
 
@@ -97,7 +97,7 @@ def main(monkeypatch, tmp_path):
 
 @pytest.mark.long
 @needs("report")
-@uses("verdict")
+@needs("design")
 @pytest.mark.filterwarnings("default")
 @pytest.mark.usefixtures("cheap")
 def test_a_diverging_run_of_another_scenario_says_so_and_keeps_its_record(main, capfd):

@@ -24,7 +24,6 @@ from ffsm_drake.cli.simulating import (
     simulated,
     warn_replaced,
 )
-from ffsm_drake.common.registrations import SERVICES
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
@@ -128,17 +127,18 @@ def _check_starts(scenarios: Sequence["Scenario"], source: str, overrides: Seque
 
 def _distances(records: Sequence["RunRecord"]) -> list[float] | None:
     """Distance of each run's controller to the LQG limit; NaN, with a printed reason, if it is
-    unknown; None without the service ``lqg_limit``.
+    unknown; None: nothing computes it.
     """
     from ffsm_drake.common.errors import FfsmError, one_line
+    from ffsm_drake.runs.judge import JUDGES
 
-    find_limit = SERVICES.find("lqg_limit")
-    if find_limit is None:
+    judge = JUDGES.first()
+    if judge is None:
         return None
     distances, missing = [], dict[str, list[str]]()  # reason -> controllers
     for record in records:
         try:
-            distances.append(find_limit(record.mission).distance)
+            distances.append(judge.distance(record.mission))
         except FfsmError as error:
             missing.setdefault(one_line(error), []).append(record.scenario.controller)
             distances.append(math.nan)

@@ -19,8 +19,8 @@ from ffsm_drake.cli.common import (
     print_json,
 )
 from ffsm_drake.common.errors import spared
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.runs import limits
+from ffsm_drake.runs.judge import JUDGES
 from ffsm_drake.runs.reading import REPORT_FILE
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show import outputs, table_files, tables
@@ -78,8 +78,8 @@ def _print_remarks(records: Sequence[RunRecord], trying: Trying) -> None:
     said: dict[str, list[str]] = {}  # remark -> controllers
     for record in records:
         with trying("remarks"):
-            advice_on = SERVICES.find("advice") or (lambda record: ())
-            for remark in (*limits.run_remarks(record), *advice_on(record)):
+            advice = judge.advice(record) if (judge := JUDGES.first()) else ()
+            for remark in (*limits.run_remarks(record), *advice):
                 said.setdefault(remark, []).append(record.scenario.controller)
     for remark, names in said.items():
         click.echo(f"warning: {', '.join(dict.fromkeys(names))}: {remark}", err=True)
@@ -89,8 +89,8 @@ def _print_remedy(record: RunRecord, directory: Path, trying: Trying) -> None:
     """Print where a changed scenario is, if one is proposed, and the closest approach."""
     controller = record.scenario.controller
     with trying("remedy"):
-        write_remedy = SERVICES.find("remedy")
-        if write_remedy and (file := write_remedy(record, directory)):
+        judge = JUDGES.first()
+        if judge is not None and (file := judge.remedy(record, directory)):
             click.echo(
                 f"{controller}: a changed scenario is in {file}; run it with: ffsm run {file}",
                 err=True,

@@ -18,7 +18,6 @@ from ffsm_drake.cli.common import (
     print_result,
     rehearsal_option,
 )
-from ffsm_drake.common.registrations import SERVICES
 
 
 @click.command()
@@ -119,6 +118,7 @@ def _validated(
     """Return the results of ``validate`` for a scenario, as plain data, and lines on the
     mission.
     """
+    from ffsm_drake.runs.judge import JUDGES
     from ffsm_drake.runs.simulate import check_start
     from ffsm_drake.scenario import load_scenario
     from ffsm_drake.spacecraft.plant import check_pictures
@@ -129,10 +129,11 @@ def _validated(
         scenario = load_scenario(name, overrides)
         check_pictures(scenario.model)
         loop = check_start(scenario)
-        if (mission := SERVICES.find("mission")) is not None:
-            found, lines = mission(loop.scenario, rehearsal=rehearsal)
-    layered = SERVICES.find("layer_remarks") or (lambda name, overrides: ())
-    told = [*(str(item.message) for item in caught), *found["warnings"], *layered(name, overrides)]
+        if (judge := JUDGES.first()) is not None:
+            found, lines = judge.validate(loop.scenario, rehearsal=rehearsal)
+    told = [*(str(item.message) for item in caught), *found["warnings"]]
+    if judge is not None:
+        told += judge.layers(name, overrides)
     return {
         "valid": True,
         "controller": loop.scenario.controller,

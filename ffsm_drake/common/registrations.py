@@ -75,9 +75,7 @@ def plugin_of(module: str) -> str:
 
 
 def absent_need(plugin: str) -> str:
-    """Return a plug-in that a plug-in of this package needs and that has been deleted; empty:
-    there is none.
-    """
+    """Return a plug-in that has been deleted: the given one, or one that it needs. Empty: none."""
     known = own_plugins()
     if plugin not in known:
         return plugin
@@ -131,21 +129,17 @@ class Registry(Generic[Kind]):
             return None
         return self.load(name, name)
 
-    def all(self) -> list[Kind]:
-        """Return all objects that ``find`` returns, in order of their names."""
-        found = [self.find(name) for name in sorted(self.offers())]
-        return [each for each in found if each is not None]
-
     def first(self) -> Kind | None:
-        """Return the object of a group that has one; None as in ``find``."""
-        return next(iter(self.all()), None)
+        """As ``find``, of a group that has one object."""
+        return self.find(self._only())
 
     def only(self, place: str) -> Kind:
-        """As ``first``; errors as in ``load`` instead of None."""
-        return self.load(next(iter(self.offers()), self.group), place)
+        """As ``load``, of a group that has one object."""
+        return self.load(self._only(), place)
+
+    def _only(self) -> str:
+        return next(iter(self.offers()), self.group)
 
 
-# Name -> function or class that the core uses where it is installed: see the callers.
-SERVICES = Registry[Any]("services")
 # Name -> function: an additional ``ffsm_drake.NAME``.
 VERBS = Registry[Callable[..., Any]]("verbs")

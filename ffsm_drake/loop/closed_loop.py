@@ -45,13 +45,13 @@ from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, 
 from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration
-from ffsm_drake.spacecraft.start import state_at_start
 from ffsm_drake.systems.controllers.sampled import SampledController
 from ffsm_drake.systems.parts.placed import Parts
 from ffsm_drake.systems.parts.signals import EFFORT, Signal
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.sampled import NEXT
 from ffsm_drake.systems.selection import make_selector
+from ffsm_drake.systems.start import state_at_start
 
 # Signals of every closed loop. Further signals: the controller's OPTIONAL_OUTPUTS, the actuators'
 # outputs, "hidden_state" with hidden coordinates, and "force_<name>" for each of several external

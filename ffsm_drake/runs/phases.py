@@ -10,13 +10,14 @@ import dataclasses
 import functools
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from ffsm_drake.common.errors import BlockError
+from ffsm_drake.common.registrations import Registry
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.ending import Outcome
 from ffsm_drake.runs.log import GraspLog, RunLog
@@ -134,8 +135,29 @@ class Phases:
     complete: Callable[[tuple[RunLog, ...]], tuple[RunLog, ...]] = lambda logs: logs
 
 
+# The loop with the hands on the target that have closed up to a time after the grasp, s.
+HeldLoops = Callable[[float], ClosedLoop]
+
+
+class PhasesOf(Protocol):
+    """Returns the phases of a mission, given those before a plug-in adds its own.
+
+    Args: the mission; the phases; loops with closed hands, which compiled runs do not have.
+
+    Raises the errors of a plan.
+    """
+
+    def __call__(self, mission: Mission, before: Phases, held: HeldLoops | None) -> Phases: ...
+
+
+# "capture" and "later_hands", in this order.
+MISSION_PHASES = Registry[PhasesOf]("mission_phases")
+# How the loop of a mission with an empty gripper is shown.
+TARGET_VIEWS = Registry[Callable[[Mission], Show]]("target_views")
+
+
 class PhasedRollout:
-    """A ``Rollout`` of a scenario with phases; plug-ins derive from it."""
+    """A ``Rollout`` of a scenario with phases."""
 
     def __init__(
         self,
@@ -152,17 +174,20 @@ class PhasedRollout:
             grip = Grip(closed=closed)
             self._loops[grip] = Rollout(self._mission, grip=grip, **how)
             if grip == HELD and self._mission.scenario.grasp_time > 0.0:
-                show = None if meshcat is None else self.show(self._mission)
+                view = None if meshcat is None else TARGET_VIEWS.first()
+                show = None if view is None else view(self._mission)
                 self._loops[EMPTY] = Rollout(self._mission, grip=EMPTY, show=show, **how)
-
-    @staticmethod
-    def show(mission: Mission) -> Show | None:
-        """How the loop with an empty gripper is shown."""
-        return None
 
     def phases(self, mission: Mission) -> Phases:
         """The phases of a mission."""
-        raise NotImplementedError
+        phases = Phases(kinds={"": Stop()})
+        if mission.scenario.grasps:
+            add = MISSION_PHASES.load("capture", "capture")
+            phases = add(mission, phases, self.held)
+        if len(closing_times(mission.scenario)) > 1:
+            add = MISSION_PHASES.load("later_hands", "contacts.closes")
+            phases = add(mission, phases, self.held)
+        return phases
 
     def held(self, closed: float = 0.0) -> ClosedLoop:
         """The loop with the hands on the target that have closed up to a time after the grasp."""
@@ -321,3 +346,18 @@ class Course:
 def _along(motion: PlannedMotion, setup: BlockSetup) -> AlongMotion:
     """Return the reference of a motion."""
     return AlongMotion(motion=motion)
+
+
+def make_rollout(
+    scenario: Scenario | Mission,
+    *,
+    blocks: Mapping[str, Factory] | None = None,
+    meshcat: Meshcat | None = None,
+) -> Any:
+    """Return the rollout of a scenario: a ``Rollout``, or with a capture or later hands one with
+    the same methods. Arguments and errors: see ``Rollout``.
+    """
+    mission = make_mission(scenario)
+    has_phases = mission.scenario.grasps or len(closing_times(mission.scenario)) > 1
+    kind = PhasedRollout if has_phases else Rollout
+    return kind(mission, blocks=blocks, meshcat=meshcat)

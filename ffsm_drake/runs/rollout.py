@@ -23,7 +23,6 @@ from ffsm_drake.common.guard import guarded, passes
 from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.common.memo import content_of
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, build_closed_loop
 from ffsm_drake.runs.blame import bad_output, failure_of, unconnected
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, Outcome
@@ -31,7 +30,6 @@ from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.monitor import Monitor
 from ffsm_drake.runs.signals import SIGNALS
 from ffsm_drake.scenario import HELD, Grip, Scenario, kind_of, planned_part
-from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.spacecraft.plant import add_combined_plant, cause_of
 from ffsm_drake.systems.controllers.law import ControlLaw
@@ -459,19 +457,3 @@ def _built_from(scenario: Scenario) -> Hashable:
         del changes["random_seed"]
     payload = planned_part(scenario).payload
     return content_of(dataclasses.replace(scenario, payload=payload, **changes))
-
-
-def make_rollout(
-    scenario: Scenario | Mission,
-    *,
-    blocks: Mapping[str, Factory] | None = None,
-    meshcat: Meshcat | None = None,
-) -> Any:
-    """Return the rollout of a scenario: a ``Rollout``, or with a capture one with the same
-    methods. Arguments and errors: see ``Rollout``.
-    """
-    mission = make_mission(scenario)
-    kind = SERVICES.load("capture_rollout", "capture") if mission.scenario.grasps else Rollout
-    if len(closing_times(mission.scenario)) > 1:
-        kind = SERVICES.load("later_hands_rollout", "contacts.closes")
-    return kind(mission, blocks=blocks, meshcat=meshcat)

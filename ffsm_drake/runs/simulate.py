@@ -12,7 +12,6 @@ from pydrake.geometry import Meshcat
 from ffsm_drake.common.errors import BlockError, FfsmError, spared
 from ffsm_drake.common.files import same_folder
 from ffsm_drake.common.guard import guarded, is_user_supplied
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.common.settings import settings_of
 from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import block_sources
@@ -20,12 +19,15 @@ from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.engine import DRAKE, Engine, NotCovered, find_engine, on_drake
+from ffsm_drake.runs.judge import JUDGES
 from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.runs.record import RunRecord, software_versions
-from ffsm_drake.runs.rollout import make_rollout, user_supplied
+from ffsm_drake.runs.rollout import user_supplied
 from ffsm_drake.scenario import Block, Scenario, as_dict, checked
 from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
+from ffsm_drake.systems.grasping import GRASPINGS
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.reference import timed
 from ffsm_drake.systems.registry import Factory, address_of, module_folder
@@ -124,9 +126,9 @@ def prepare(
     """Prepare a run of ``simulate``, with the same arguments and errors.
 
     With ``check_stability`` there are two warnings. StabilityWarning: the mission is not expected
-    to go as planned (service ``verdict``, without a rehearsal), or adaptation may make the loop
+    to go as planned (``Judge.warnings``), or adaptation may make the loop
     unstable. It is not given for user-supplied blocks, which the check would have to run.
-    LimitWarning (service ``plan_remarks``): a posture or the plan exceeds the joint limits, or the
+    LimitWarning (``Judge.remarks``): a posture or the plan exceeds the joint limits, or the
     scenario changes the mass of the target's model.
 
     Returns: the loop, ready to run.
@@ -135,8 +137,8 @@ def prepare(
         mission = Mission(checked(scenario))
         if "reference" not in (blocks or {}) and mission.scenario.blocks.reference is None:
             mission = timed(mission)
-        if check_stability and (plan_remarks := SERVICES.find("plan_remarks")) is not None:
-            for remark in plan_remarks(mission):
+        if check_stability and (judge := JUDGES.first()) is not None:
+            for remark in judge.remarks(mission):
                 warnings.warn(remark, LimitWarning, stacklevel=3)
         # before the verdict, which takes longer: what is refused shows at once
         with step("building the loop"):
@@ -145,10 +147,10 @@ def prepare(
             if (
                 check_stability
                 and not user_supplied(mission.scenario, blocks)
-                and (verdict := SERVICES.find("verdict")) is not None
+                and (judge := JUDGES.first()) is not None
             ):
                 rollout.check()
-                for remark in verdict(mission, rehearsal=False).warnings:
+                for remark in judge.warnings(mission):
                     warnings.warn(remark, StabilityWarning, stacklevel=3)
         except BaseException:
             rollout.release()
@@ -177,10 +179,10 @@ def make_record(
     mission = log.mission.of(repeatable_scenario(log.scenario, blocks or {}))
     scenario = mission.scenario
     grasp = None if log.grasp is None else log.grasp.ledger(log.time, log.coordinates)
-    if grasp is not None and (budget_of := SERVICES.find("momentum_budget")) is not None:
+    if grasp is not None and (grasping := GRASPINGS.first()) is not None:
         with spared("momentum_budget"):
-            budget = budget_of(mission)
-            grasp |= {} if budget is None else {"momentum_budget": dataclasses.asdict(budget)}
+            if (budget := grasping.budget(mission)) is not None:
+                grasp["momentum_budget"] = budget
     try:
         dataset, parts = make_table(log), log.part_records
     except BlockError as error:  # a user's part; the record of the others is made

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from ffsm_drake.common.numbers import NONE
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.runs.metrics import METRICS
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.table_files import Column
+from ffsm_drake.systems.grasping import GRASPINGS
 from ffsm_drake.systems.parts.metrics import Figure
 
 _DIGITS = {"itae": 4, "isv": 5}
@@ -85,9 +85,9 @@ def _result_notes(records: Sequence[RunRecord]) -> Iterator[str]:
     ):
         yield "forces and ISV as commanded; the applied forces differ, see the report"
     names = [f"{record.scenario.controller}: " if len(records) > 1 else "" for record in records]
-    if (grasp_lines := SERVICES.find("grasp_lines")) is not None:
+    if (grasping := GRASPINGS.first()) is not None:
         pairs = zip(names, (record.grasp for record in records), strict=True)
-        yield from grasp_lines([pair for pair in pairs if pair[1] is not None])
+        yield from grasping.lines([(name, grasp) for name, grasp in pairs if grasp is not None])
     for name, record in zip(names, records, strict=True):
         sentences = (part.sentence for part in record.parts if part.sentence)
         for line in (*frame_lines(record), *drift_lines(record), *sentences):

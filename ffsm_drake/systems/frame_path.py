@@ -16,9 +16,9 @@ from ffsm_drake.spacecraft.free_floating import TASK_ROWS
 from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_frame, hand_frame
-from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.polynomial_motion import BlendedPath
+from ffsm_drake.systems.start import velocity_at_start
 
 # length of a row: quaternion (w, x, y, z) of R_WF, p_WF, w_WF, v_WF, alpha_WF, a_WF
 FRAME_SIZE = 19

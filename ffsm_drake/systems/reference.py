@@ -16,18 +16,19 @@ v_0 this is the eigenaxis turn.
 import dataclasses
 import functools
 from collections.abc import Mapping
+from typing import Protocol
 
 import numpy as np
 
-from ffsm_drake.common.registrations import SERVICES
+from ffsm_drake.common.registrations import Registry
 from ffsm_drake.scenario import WHOLE, Grip, Scenario
 from ffsm_drake.spacecraft.mission import Mission, planned
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.duration import shortest_duration
-from ffsm_drake.systems.frame_path import FRAME_SIZE, goal_frame, make_frame_path
+from ffsm_drake.systems.frame_path import FRAME_SIZE, make_frame_path
+from ffsm_drake.systems.grasping import GRASPINGS
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.parts.signals import UNIT, Signal, state_signals
 from ffsm_drake.systems.plan import load_plan
@@ -35,6 +36,7 @@ from ffsm_drake.systems.planned_motion import InTurn, PathMotion, PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.setup import BlockSetup
+from ffsm_drake.systems.start import velocity_at_start
 
 # Variables of the record.
 SIGNALS = (
@@ -44,6 +46,21 @@ SIGNALS = (
         dimension="coordinate", held=False,
     ),
 )  # fmt: skip
+
+
+class Follower(Protocol):
+    """Returns a motion whose other coordinates follow the given one, with a nominal model.
+
+    Raises ScenarioError: no motion follows it.
+    """
+
+    def __call__(
+        self, motion: PlannedMotion, mission: Mission, model: PlantModel
+    ) -> PlannedMotion: ...
+
+
+# By the key that prescribes what is followed.
+FOLLOWERS = Registry[Follower]("followers")
 
 
 def make_motion(mission: Mission, grip: Grip = WHOLE) -> PlannedMotion:
@@ -67,7 +84,7 @@ def _motion_of(mission: Mission, grip: Grip) -> PlannedMotion:
         mission.craft.coordinates.check_names(posture.joints, key=f"{name}.joints")
     if scenario.grasp_time == 0.0:
         return _from_start(mission, grip)
-    approach: PlannedMotion = SERVICES.load("planned_approach", "capture.approach")(mission)
+    approach = GRASPINGS.only("capture.approach").approach(mission)
     if not grip.holds:
         return approach
     stop = _from_start(mission, grip)
@@ -113,28 +130,15 @@ def _follow(mission: Mission, nominal: PlantModel, motion: PlannedMotion) -> Pla
     """Return a motion along a prescribed frame path: joints follow the frame, undriven coordinates
     the conservation of momentum. A closed chain's follow its target.
     """
-    scenario = mission.scenario
-    if len(scenario.contacts) > 1:
-        chain: PlannedMotion = SERVICES.load("closed_chain_motion", "contacts")(
-            motion, mission, nominal
-        )
-        return chain
-    if scenario.reference.frame is None and not scenario.undriven:
+    if len(mission.scenario.contacts) > 1:
+        key = "contacts"
+    elif mission.scenario.reference.frame is not None:
+        key = "reference.frame"
+    elif mission.scenario.undriven:
+        key = "actuation.driven"
+    else:
         return motion
-    period = scenario.sample_time
-    if scenario.reference.frame is None:
-        follow = SERVICES.load("free_motion", "actuation.driven")
-        followed: PlannedMotion = follow(motion, model=nominal, sample_time=period)
-        return followed
-    resolved: PlannedMotion = SERVICES.load("resolved_motion", "reference.frame")(
-        motion,
-        path=make_frame_path(mission, nominal, duration=motion.end),
-        goal=scenario.reference.frame,
-        frame=goal_frame(scenario, nominal.plant),
-        model=nominal,
-        sample_time=period,
-    )
-    return resolved
+    return FOLLOWERS.load(key, key)(motion, mission, nominal)
 
 
 def timed(mission: Mission, grip: Grip = WHOLE) -> Mission:

@@ -27,7 +27,7 @@ import pytest
 import yaml
 from children import PIPE, CompletedProcess, child, finished
 from click.testing import CliRunner
-from entry_points import is_there, uses
+from entry_points import is_there, needs
 from record_tools import sealed
 
 from ffsm_drake import RecordError, RunRecord, load_scenario, simulate
@@ -987,7 +987,7 @@ def warned(stderr: str) -> list[str]:
 
 
 @pytest.mark.slow
-@uses("plan_remarks")
+@needs("design")
 def test_limits_that_are_left(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name, text in {**URDFS, "servicer.urdf": LIMITED, "mine.yaml": PLAN}.items():
@@ -1021,7 +1021,7 @@ def test_limits_that_are_left(tmp_path, monkeypatch):
     assert applied == 1.5
 
 
-@uses("mission")
+@needs("design")
 def test_a_duration_between_samples_is_told():
     result = CliRunner().invoke(main, ["validate", "postcapture", "--set", "duration=0.0149"])
     assert (

@@ -20,8 +20,8 @@ from ffsm_drake import FfsmError, RunRecord, load_scenario
 from ffsm_drake.cli import main
 from ffsm_drake.cli.common import forgiving_stderr
 from ffsm_drake.cli.progress import ProgressLine, show_life
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.common.steps import current_step, step
+from ffsm_drake.runs.judge import JUDGES
 from ffsm_drake.scenario import shipped_scenarios
 
 SHORT = ["--set", "duration=0.3"]
@@ -185,7 +185,7 @@ def test_scenarios_and_validate(tmp_path):
     good = ffsm("validate", "--no-rehearsal", "postcapture", "tumbling_capture", mine)
     assert good.exit_code == 0, good.output
     assert f"{mine}: valid; tde_aismc, free base and 5 joints" in good.stdout
-    if SERVICES.find("mission"):
+    if JUDGES.first():
         assert "tumbling_capture: momentum after the planned grasp: 0.3517 N s" in good.stdout
     mine.write_text("payload: {truth: {mass: -1}}")
     bad = ffsm("validate", "postcapture", mine, "--json", "--no-rehearsal")

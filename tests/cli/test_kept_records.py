@@ -10,6 +10,7 @@ from click.testing import CliRunner
 from ffsm_drake import RunRecord
 from ffsm_drake.cli import main
 from ffsm_drake.common.registrations import Registry
+from ffsm_drake.runs.judge import JUDGES
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
 FAILURES = (
@@ -26,7 +27,8 @@ STEPS = {
     "show.outputs.write_outputs": "report",
     "runs.record.compute_metrics": "metrics.json",
 }
-BROUGHT = {"advice": "remarks", "remedy": "remedy", "reports": "report", "recordings": "report"}
+JUDGED = {"advice": "remarks", "remedy": "remedy"}
+BROUGHT = {**JUDGED, "reports": "report", "recordings": "report"}
 
 
 @pytest.mark.slow
@@ -46,13 +48,13 @@ def check(step, failure, folder, monkeypatch):
     with monkeypatch.context() as patched:
         if step in STEPS:
             patched.setattr(f"ffsm_drake.{step}", fail)
+        elif step in JUDGED:
+            patched.setattr(JUDGES.only("the test"), step, fail)
         else:
             patched.setattr(
                 Registry,
                 "find",
-                lambda registry, name: (
-                    fail if step in (registry.group, name) else find(registry, name)
-                ),
+                lambda registry, name: fail if registry.group == step else find(registry, name),
             )
         pictures = [] if (STEPS | BROUGHT)[step] == "report" else ["--no-report"]
         line = ["run", "--set", "duration=0.05", "--out", str(folder), *pictures]

@@ -11,7 +11,7 @@ from fuzz.fuzz_inputs import mutated_bytes, mutated_data, mutated_urdf
 from hypothesis import strategies as st
 
 from ffsm_drake import load_scenario, make_closed_loop
-from ffsm_drake.common.registrations import SERVICES
+from ffsm_drake.runs.judge import JUDGES
 from ffsm_drake.scenario import scenario_from_yaml, shipped_scenarios
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.craft import make_true_plant
@@ -68,8 +68,8 @@ def load_yaml(text):
     """Read, check, wire, and say what is remarkable."""
     scenario = scenario_from_yaml(text.decode(errors="replace"))
     make_closed_loop(scenario)
-    if plan_remarks := SERVICES.find("plan_remarks"):
-        plan_remarks(scenario)
+    if judge := JUDGES.first():
+        judge.remarks(scenario)
 
 
 HOSTILE_YAML = st.one_of(

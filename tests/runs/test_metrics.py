@@ -13,7 +13,7 @@ from ffsm_drake.runs.metrics import (
     itae,
     momentum_residual,
 )
-from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.runs.table import Table
 
 PERIOD, DURATION = 0.01, 20.0

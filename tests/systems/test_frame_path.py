@@ -7,11 +7,11 @@ from pydrake.math import RollPitchYaw
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ModelError, ScenarioError, load_scenario
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import configuration, find_frame
 from ffsm_drake.systems.frame_path import make_frame_path
+from ffsm_drake.systems.grasping import GRASPINGS
 
 CAPTURE = [
     "capture.rate=[0.05, 0.04, 0.06]",
@@ -89,7 +89,7 @@ def test_after_a_capture_it_starts_as_the_grasp_leaves_the_frame(goal):
     q = configuration(model.coordinates, scenario.initial_posture, key="initial_posture")
     jacobian = model.calc_jacobian(q, scenario.model.end_effector)
     rows = path.rows(np.array([0.0, path.end]))
-    contact = SERVICES.load("planned_contact", "capture")(make_mission(scenario), model)
+    contact = GRASPINGS.only("capture").contact(make_mission(scenario), model)
     assert_allclose(rows[0, 7:13], jacobian @ contact.grasp.velocity, atol=1e-15)
     assert np.abs(rows[0, 7:13]).min() > 1e-4
     assert not rows[1, 7:].any()

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, simulate_many
-from ffsm_drake.common.registrations import SERVICES
+from ffsm_drake.runs.judge import JUDGES
 from ffsm_drake.scenario import Reference
 from ffsm_drake.spacecraft.craft import make_true_plant
 from ffsm_drake.spacecraft.mission import make_mission
@@ -209,7 +209,7 @@ def test_roll_pitch_and_yaw_cannot_begin_with_a_velocity():
 
 
 def test_a_stop_of_nothing_is_said():
-    plan_remarks = SERVICES.load("plan_remarks", "the test")
+    plan_remarks = JUDGES.only("the test").remarks
     (line,) = (of for of in plan_remarks(stopping({"joints": 0})) if of.startswith("reference"))
     assert "because nothing moves" in line
     assert not [of for of in plan_remarks(stopping({"joint_1": 1e-3})) if "to stop" in of]

@@ -20,7 +20,6 @@ from ffsm_drake.common.errors import BlockError, LimitError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import number
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of
 from ffsm_drake.plugins.campaign.cases import Case, scenario_of, with_controller
@@ -35,6 +34,7 @@ from ffsm_drake.runs.metrics import METRICS, drift_metrics, frame_figures
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.spacecraft.clearance import in_words
 from ffsm_drake.spacecraft.mission import Mission
+from ffsm_drake.systems.grasping import GRASPINGS
 from ffsm_drake.systems.parts.metrics import Metric
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.reference import timed
@@ -353,7 +353,7 @@ class Evaluator:
             before = None if self._last is None else self._last[1]
             mission = timed(before.of(scenario) if before else Mission(scenario))
             if mission.scenario.approach is not None:  # one that is refused would stop all
-                SERVICES.load("planned_approach", "capture.approach")(mission)
+                GRASPINGS.only("capture.approach").approach(mission)
             self._last = case.index, mission
         return self._last[1]
 

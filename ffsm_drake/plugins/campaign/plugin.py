@@ -5,7 +5,7 @@ PLUGIN = Plugin(
     page="campaigns",
     extras=("parquet",),
     needs=("design", "workers"),
-    uses=("meshcat",),
+    uses=("capture", "meshcat"),
     brings={
         "commands": {"campaign": "campaign.command:campaign"},
         "verbs": {"run_campaign": "campaign.run:run_campaign"},

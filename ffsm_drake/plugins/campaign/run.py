@@ -37,8 +37,8 @@ from ffsm_drake.plugins.campaign.store import Shard, Store, check_columns, creat
 from ffsm_drake.plugins.workers.pool import Runs, Stop, WorkerLost, Workers, local_workers
 from ffsm_drake.runs.batches import run_many, usual_batch
 from ffsm_drake.runs.engine import find_engine
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.runs.simulate import make_record
 from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.reference import timed

@@ -8,7 +8,6 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import Frame, RigidBody
 
 from ffsm_drake.common.errors import ModelError
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.common.so3 import quaternion_of, skew
 from ffsm_drake.plugins.capture.compliant import compliant_grasp
 from ffsm_drake.plugins.capture.free_body import FINE_TURN, Target, path_of
@@ -23,6 +22,7 @@ from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame, hand_frame
+from ffsm_drake.systems.closed_chains import CLOSED_CHAINS
 
 
 def payload_body(scenario: Scenario, model: PlantModel) -> RigidBody:
@@ -154,7 +154,6 @@ def contact_at(
     X_WP = body.EvalPoseInWorld(context)
     inertia = body.CalcSpatialInertiaInBodyFrame(context).ReExpress(X_WP.rotation())
     known = model.split.known_velocities(np.arange(velocity.size))
-    several = len(scenario.contacts) > 1
     situation = {
         "mass_matrix": mass_matrix,
         "jacobian": model.calc_jacobian(q, body.body_frame()),
@@ -163,7 +162,9 @@ def contact_at(
         "target_velocity": target_velocity,
         "braked": known[NUM_BASE_VELOCITIES:].tolist() if capture.joints == "braked" else (),
     }
-    loops = closed_chain(scenario, model, q, stays=True)[1] if several else None
+    loops = None
+    if len(scenario.contacts) > 1:
+        _, loops = CLOSED_CHAINS.only("contacts").solve(scenario, model, q, stays=True)
     grasp = plastic_grasp(**situation, constraints=loops)
     hand = hand_frame(plant, scenario.model)
     p_PE_W = hand.CalcPoseInWorld(context).translation() - X_WP.translation()
@@ -214,7 +215,7 @@ def planned_contact(mission: Mission, model: PlantModel) -> Contact:
     q = configuration(model.coordinates, scenario.initial_posture, key="initial_posture")
     whole = model.split.whole_positions(q)
     if len(scenario.contacts) > 1:
-        whole = closed_chain(scenario, model, whole)[0]
+        whole, _ = CLOSED_CHAINS.only("contacts").solve(scenario, model, whole)
         q = model.split.known_part(np.concatenate([whole, np.zeros(whole.size - 1)]))[: q.size]
     return contact_at(
         scenario,
@@ -223,17 +224,6 @@ def planned_contact(mission: Mission, model: PlantModel) -> Contact:
         velocity=model.split.whole_velocities(servicer_velocity(scenario, capture, model, q)),
         target_velocity=target_twist(scenario, capture, model, q),
     )
-
-
-def closed_chain(
-    scenario: Scenario, model: PlantModel, q: np.ndarray, **how: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """The configuration q (nq) with all hands on the target, or the given one (``stays``), and A
-    (m, nv) of the closed loops.
-    """
-    found: tuple[np.ndarray, np.ndarray]
-    found = SERVICES.load("closed_chain", "contacts")(scenario, model, q, **how)
-    return found
 
 
 def target_path(

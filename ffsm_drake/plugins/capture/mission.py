@@ -26,30 +26,21 @@ from ffsm_drake.plugins.capture.pictures import show_apart
 from ffsm_drake.plugins.capture.target_filter import Path
 from ffsm_drake.plugins.capture.tracked_target import drawn_path
 from ffsm_drake.runs.log import GraspLog, RunLog
-from ffsm_drake.runs.phases import Phase, PhasedRollout, PhaseKind, Phases, Show, Situation
+from ffsm_drake.runs.phases import HeldLoops, Phase, PhaseKind, Phases, Show, Situation
 from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.registry import Factory
 
 
-class MissionRollout(PhasedRollout):
-    """A ``Rollout`` of a scenario with a capture."""
-
-    @staticmethod
-    def show(mission: Mission) -> Show:
-        """The spacecraft, and the target apart."""
-        return functools.partial(show_apart, Aim(mission).path[:, :7])
-
-    def phases(self, mission: Mission) -> Phases:
-        """See PhasedRollout."""
-        return phases_of_capture(mission, self.held().blocks.get(CONTACTS))
+def view_of_target(mission: Mission) -> Show:
+    """Return what shows the spacecraft, and the target apart."""
+    return functools.partial(show_apart, Aim(mission).path[:, :7])
 
 
-def phases_of_capture(mission: Mission, hands: Any = None) -> Phases:
-    """Return the phases of a capture, and what follows a target that was not captured.
-
-    Args: the mission; the block of further hands that grasp with the gripper.
-    """
+def phases_of_capture(mission: Mission, before: Phases, held: HeldLoops | None) -> Phases:
+    """Return the phases of a capture, and what follows a target that was not captured."""
     scenario = mission.scenario
+    # the block of further hands that grasp with the gripper
+    hands = None if held is None else held(0.0).blocks.get(CONTACTS)
     if scenario.grasp_time == 0.0:
         return Phases(kinds={"": Held()}, finish=lambda log, now: grasped_at_start(log))
     chase = _chase(mission)

@@ -3,21 +3,16 @@ from ffsm_drake.common.registrations import Plugin
 PLUGIN = Plugin(
     about="Capture of a moving target: approach, grasp, closing gripper; supervisor of a mission",
     page="capture",
+    uses=("two_arms",),
     brings={
         "sections": {
             "forces.gripper": "capture.gripper:Gripper",
             "supervisor": "capture.supervisor:SupervisorPart",
         },
         "phases": {"hold": "capture.phases.hold:hold"},
-        "services": {
-            "capture_mission": "capture.mission:phases_of_capture",
-            "capture_rollout": "capture.mission:MissionRollout",
-            "grasped_at_start": "capture.grasping:grasped_at_start",
-            "grasp_lines": "capture.tables:grasp_lines",
-            "momentum_budget": "capture.momentum:momentum_budget",
-            "planned_approach": "capture.approach:planned_approach",
-            "planned_contact": "capture.contact:planned_contact",
-        },
+        "graspings": {"capture": "capture.planned:PLANNED"},
+        "mission_phases": {"capture": "capture.mission:phases_of_capture"},
+        "target_views": {"capture": "capture.mission:view_of_target"},
         "report_sections": {"grasp": "capture.page:grasp_section"},
     },
 )

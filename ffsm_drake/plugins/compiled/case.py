@@ -20,7 +20,6 @@ from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.mission import Mission
-from ffsm_drake.spacecraft.start import state_at_start
 from ffsm_drake.systems.controllers import controller_names, make_controller
 from ffsm_drake.systems.disturbance import sines_of
 from ffsm_drake.systems.faults import settle_faults
@@ -30,6 +29,7 @@ from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.sampled import Arrays, Sampled
 from ffsm_drake.systems.sensing.errors import SensorErrors
 from ffsm_drake.systems.setup import BlockSetup
+from ffsm_drake.systems.start import state_at_start
 
 _KEPT = 64  # cases
 

@@ -23,7 +23,8 @@ from ffsm_drake.plugins.equations.comparison import held_to_drake
 from ffsm_drake.runs.batches import all_but_controller
 from ffsm_drake.runs.engine import Engine, NotCovered
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.rollout import Rollout, make_rollout
+from ffsm_drake.runs.phases import make_rollout
+from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.mission import Mission

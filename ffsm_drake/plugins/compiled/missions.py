@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, one_line
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.plugins.compiled.blocks import at_start, row, sizes_of
 from ffsm_drake.plugins.compiled.called import parts
 from ffsm_drake.plugins.compiled.case import Case
@@ -25,7 +24,7 @@ from ffsm_drake.plugins.compiled.run import Run
 from ffsm_drake.runs.ending import COMPLETED, Outcome
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.phases import Course, Phase, Phases, Stop
+from ffsm_drake.runs.phases import MISSION_PHASES, Course, Phase, Phases, Stop
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -187,7 +186,7 @@ class Lane:
         self._nudge, self._start = nudge, time.perf_counter()
         phases = Phases(kinds={"": Stop()})
         if mission.scenario.grasps:
-            phases = SERVICES.load("capture_mission", "capture")(mission)
+            phases = MISSION_PHASES.load("capture", "capture")(mission, phases, None)
         self._course = Course(phases, mission)
         # what a run that is lost has for its log
         is_detected = own is not None and own.case.made.detector is not None

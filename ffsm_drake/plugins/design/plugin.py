@@ -4,7 +4,7 @@ PLUGIN = Plugin(
     about="Stability and margins of the sampled loop, the verdict before a run, design of gains",
     page="verdict",
     needs=("actuators", "capture", "estimators", "flexible"),
-    uses=("compiled",),
+    uses=("compiled", "two_arms"),
     brings={
         "commands": {
             "design": "design.command:design",
@@ -14,15 +14,7 @@ PLUGIN = Plugin(
             "design": "design.gains:design",
             "stability": "design.stability:stability",
         },
-        "services": {
-            "advice": "design.verdict:helpful_remarks",
-            "layer_remarks": "design.layers:layer_remarks",
-            "lqg_limit": "design.limit:find_limit",
-            "mission": "design.verdict:mission",
-            "plan_remarks": "design.remarks:plan_remarks",
-            "remedy": "design.remedy_file:write_remedy",
-            "verdict": "design.verdict:verdict",
-        },
+        "judges": {"design": "design.judge:JUDGE"},
         "report_sections": {"stability": "design.panels:stability_section"},
     },
 )

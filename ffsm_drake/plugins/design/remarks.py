@@ -29,10 +29,10 @@ from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.mission import Mission, make_mission, planned
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_body
-from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.limits import actuation_limit, joint_limits, uneven_remarks
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.start import velocity_at_start
 
 _POSTURES = 201  # number of instants of the plan evaluated
 _SAME_MASS = 1e-3  # relative

@@ -23,7 +23,7 @@ from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.mission import LegVerdict, linear_verdict
 from ffsm_drake.plugins.design.stability.one_axis import tolerated_eta
 from ffsm_drake.plugins.design.stability.rehearsal import MANY, shares_diverged
-from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import Scenario, override_scenario
 from ffsm_drake.spacecraft.mission import Mission, kept, make_mission
 from ffsm_drake.systems.controllers import complete_gains, declared_gains

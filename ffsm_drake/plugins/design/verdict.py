@@ -40,8 +40,8 @@ from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.ending import NOT_SETTLED, Ending
 from ffsm_drake.runs.limits import CLEARANCE, broken_limits, limits_left
 from ffsm_drake.runs.log import RunLog
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.runs.rollout import make_rollout
 from ffsm_drake.scenario import Scenario, checked
 from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.systems.parts.advice import Advice

@@ -26,7 +26,7 @@ from ffsm_drake.plugins.policy.policy import (
 )
 from ffsm_drake.plugins.task_space.tasks import TaskSpace
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import ControlLaw

@@ -30,7 +30,7 @@ from ffsm_drake.plugins.new.hands import Hands
 from ffsm_drake.plugins.new.postures import STARTS, Arm
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
 from ffsm_drake.plugins.new.urdf.target import Target
-from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import EMPTY, Grip, Scenario, scenario_from_dict
 from ffsm_drake.scenario.actuation import Thrusters, Wheel, thrusters_of
 from ffsm_drake.spacecraft.coordinates import (

@@ -29,9 +29,9 @@ from ffsm_drake.spacecraft.coordinates import (
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.plant import configuration
-from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.plan import DEGREE, Plan
 from ffsm_drake.systems.planned_motion import PathMotion
+from ffsm_drake.systems.start import velocity_at_start
 
 _FINE = 8 * INSTANTS  # instants per segment, at which a plan is checked
 _POSTURES = 100  # number of instants for the clearance

@@ -13,7 +13,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.numbers import NONE, number, percent
-from ffsm_drake.common.registrations import SERVICES
+from ffsm_drake.runs.judge import JUDGES
 from ffsm_drake.runs.limits import run_clearance, saturation
 from ffsm_drake.runs.metrics import drift_metrics, frame_figures, of_group
 from ffsm_drake.runs.tracking import tracked_of
@@ -209,12 +209,12 @@ def _limits_left(results: Sequence[Result]) -> list[str]:
     """The limits of the models exceeded by the plans, and the nearest parts, or the reason for a
     missing comparison; a sentence each.
     """
-    sentences, plan_remarks = list[str](), SERVICES.find("plan_remarks")
+    sentences, judge = list[str](), JUDGES.first()
     for result in results:
         name = f"{result.label}: " if len(results) > 1 else ""
         try:
-            if plan_remarks is not None:
-                remarks = plan_remarks(result.record.scenario)
+            if judge is not None:
+                remarks = judge.remarks(result.record.scenario)
                 sentences += [f"Plan: {remark}." for remark in remarks]
             sentences += [
                 f"{name}Nearest to each other: {closest}."

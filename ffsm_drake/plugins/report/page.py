@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from ffsm_drake.common.errors import RecordError
 from ffsm_drake.common.files import write_text
-from ffsm_drake.common.registrations import SERVICES, Registry
+from ffsm_drake.common.registrations import Registry
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.report.comparison import rankings, table, table_notes
 from ffsm_drake.plugins.report.part_panels import part_sections, part_tables, part_text, part_views
@@ -25,6 +25,7 @@ from ffsm_drake.runs.ending import (
     SETTLED,
     SETTLED_OVER,
 )
+from ffsm_drake.runs.judge import JUDGES
 from ffsm_drake.runs.limits import broken_limits, run_remarks
 from ffsm_drake.runs.reading import IDENTIFIER
 from ffsm_drake.runs.record import RunRecord
@@ -225,12 +226,11 @@ def _remarks(result: Result, folder: Path) -> Json:
     broken, _ = attempt("limits", result, broken_limits, record.mission, record.dataset)
     lines: list[str | None] = [part.sentence for part in record.parts]
     lines += attempt("warnings", result, run_remarks, record)[0] or ()
-    advice, remedy = SERVICES.find("advice"), SERVICES.find("remedy")
-    helps = advice and attempt("advice", result, advice, record)[0]
-    if helps:
+    judge = JUDGES.first()
+    if judge and (helps := attempt("advice", result, judge.advice, record)[0]):
         lines += helps
-        file = remedy and attempt("remedy", result, remedy, record, folder)[0]
-        lines.append(file and f"a changed scenario is in {file}; run it with: ffsm run {file}")
+        if file := attempt("remedy", result, judge.remedy, record, folder)[0]:
+            lines.append(f"a changed scenario is in {file}; run it with: ffsm run {file}")
     said = dict.fromkeys(line for line in lines if line and line not in (broken or ()))
     return {"broken": broken or [], "said": [f"{_begun(line)}." for line in said]}
 

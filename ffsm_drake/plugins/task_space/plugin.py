@@ -10,9 +10,9 @@ PLUGIN = Plugin(
             "task_time_delay": "task_space.task_time_delay:TaskTimeDelay",
             "torque_against_momentum": "task_space.torque_against_momentum:TorqueAgainstMomentum",
         },
-        "services": {
-            "free_motion": "task_space.free_motion:FreeMotion",
-            "resolved_motion": "task_space.resolved_motion:ResolvedMotion",
+        "followers": {
+            "actuation.driven": "task_space.following:free_motion",
+            "reference.frame": "task_space.following:resolved_motion",
         },
     },
 )

@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.two_arms.contact import CLOSING, LOSS
 from ffsm_drake.plugins.two_arms.flow import GAP, WRENCHES
 from ffsm_drake.runs.ending import MISSED
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.phases import Phase, PhasedRollout, Phases, Show, Situation, Stop
+from ffsm_drake.runs.phases import HeldLoops, Phase, Phases, Situation, Stop
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.capture import Envelope
@@ -31,37 +30,27 @@ from ffsm_drake.spacecraft.mission import Mission
 _BLOCK, _FORCE, _OTHER = "forces.contacts", "force_contacts", "force_disturbance"
 
 
-class LaterHandsRollout(PhasedRollout):
-    """A ``Rollout`` of a scenario with late hands."""
-
-    @staticmethod
-    def show(mission: Mission) -> Show:
-        """As that of a capture."""
-        found: Show = SERVICES.load("capture_rollout", "capture").show(mission)
-        return found
-
-    def phases(self, mission: Mission) -> Phases:
-        """The phases of a capture or of a stack at rest, and one from each closing to the next."""
-        scenario, phases = mission.scenario, Phases(kinds={"": Stop()})
-        times = closing_times(scenario)[1:]
-        if scenario.grasps:
-            phases = SERVICES.load("capture_rollout", "capture").phases(self, mission)
-        ends = [round((scenario.grasp_time + time) / scenario.sample_time) for time in times]
-        kinds = {
-            name: dataclasses.replace(kind, until=ends[0], then=f"hand {times[0]:g}")
-            if isinstance(kind, Stop)
-            else kind
-            for name, kind in phases.kinds.items()
-        }
-        for time, (until, following) in zip(
-            times, [*zip(ends[1:], times[1:], strict=True), (None, None)], strict=True
-        ):
-            then = "" if following is None else f"hand {following:g}"
-            kinds[f"hand {time:g}"] = Hand(
-                until=until, then=then, time=time, scenario=scenario, held=self.held(time)
-            )
-        complete = functools.partial(_complete, scenario)
-        return dataclasses.replace(phases, kinds=kinds, complete=complete)
+def phases_of_later_hands(mission: Mission, before: Phases, held: HeldLoops | None) -> Phases:
+    """Return the phases of a mission, and one from each closing of a late hand to the next."""
+    scenario = mission.scenario
+    assert held is not None
+    times = closing_times(scenario)[1:]
+    ends = [round((scenario.grasp_time + time) / scenario.sample_time) for time in times]
+    kinds = {
+        name: dataclasses.replace(kind, until=ends[0], then=f"hand {times[0]:g}")
+        if isinstance(kind, Stop)
+        else kind
+        for name, kind in before.kinds.items()
+    }
+    for time, (until, following) in zip(
+        times, [*zip(ends[1:], times[1:], strict=True), (None, None)], strict=True
+    ):
+        then = "" if following is None else f"hand {following:g}"
+        kinds[f"hand {time:g}"] = Hand(
+            until=until, then=then, time=time, scenario=scenario, held=held(time)
+        )
+    complete = functools.partial(_complete, scenario)
+    return dataclasses.replace(before, kinds=kinds, complete=complete)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -31,9 +31,9 @@ from ffsm_drake.spacecraft.grasp import plastic_impact
 from ffsm_drake.spacecraft.mission import Mission, planned
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_body
-from ffsm_drake.spacecraft.start import velocity_at_start
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.start import velocity_at_start
 
 _NODES, _MOST_NODES = 128, 2048
 _ACCURATE = 1e-10  # m, rad: gap between the nodes

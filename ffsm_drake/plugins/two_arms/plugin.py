@@ -5,13 +5,8 @@ PLUGIN = Plugin(
     page="two_arms",
     brings={
         "sections": {"forces.contacts": "two_arms.contact:Contacts"},
-        "services": {
-            "closed_chain": "two_arms.motion:closed_chain",
-            "closed_chain_growth": "two_arms.growth:growth_in_words",
-            "closed_chain_law": "two_arms.laws:make_in_chain",
-            "closed_chain_motion": "two_arms.motion:ChainMotion",
-            "closed_chain_start": "two_arms.motion:start_of",
-            "later_hands_rollout": "two_arms.hand:LaterHandsRollout",
-        },
+        "closed_chains": {"two_arms": "two_arms.arms:ARMS"},
+        "followers": {"contacts": "two_arms.motion:ChainMotion"},
+        "mission_phases": {"later_hands": "two_arms.hand:phases_of_later_hands"},
     },
 )

@@ -5,13 +5,14 @@ from typing import Any, Protocol
 from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
-from ffsm_drake.common.registrations import SERVICES, Registry
+from ffsm_drake.common.registrations import Registry
 from ffsm_drake.scenario import CommandFilter, Scenario
 from ffsm_drake.scenario.contacts import closing_contacts
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.closed_chains import CLOSED_CHAINS
 from ffsm_drake.systems.controllers.law import (
     ControlLaw,
     Gain,
@@ -104,7 +105,7 @@ def make_controller(
     scenario, setup = mission.scenario, controller_setup(mission, nominal)
     _check_other_gains(scenario, setup.coordinates)
     if closing_contacts(scenario, nominal.grip) and scenario.chain.law != "plain":
-        in_chain = SERVICES.load("closed_chain_law", "chain.law")
+        in_chain = CLOSED_CHAINS.only("chain.law").law
         made = in_chain(setup, lambda own: _make(own, factory))
     else:
         made = _make(setup, factory)

@@ -8,7 +8,7 @@ from ffsm_drake.plugins.benchmark.missions import bounds_of, load_mission
 from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.plugins.task_space.torque_against_momentum import angular_momentum
 from ffsm_drake.runs.metrics import drift_metrics
-from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.spacecraft.mission import make_mission
 

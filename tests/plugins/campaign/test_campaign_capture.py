@@ -10,7 +10,7 @@ from ffsm_drake.plugins.campaign.prediction import predict
 from ffsm_drake.plugins.campaign.spec import load_spec
 from ffsm_drake.plugins.campaign.statistics import agreement, read_table
 from ffsm_drake.plugins.campaign.store import open_store
-from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import load_scenario
 from ffsm_drake.spacecraft.mission import make_mission
 

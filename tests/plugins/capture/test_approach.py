@@ -11,7 +11,7 @@ from ffsm_drake.plugins.capture.contact import planned_contact, target_path
 from ffsm_drake.plugins.capture.grasping import Aim
 from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.runs.limits import CLEARANCE, INSTANTS, closest_of, distances_in, limits_left
-from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import EMPTY, planned_part
 from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.spacecraft.mission import make_mission

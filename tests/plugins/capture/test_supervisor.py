@@ -9,7 +9,7 @@ from pydrake.systems.framework import LeafSystem
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.plugins.actuators.base import BaseActuators
 from ffsm_drake.plugins.capture.modes import Cause, Mode
-from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.parts.metrics import nested
 from ffsm_drake.systems.parts.placed import figures_of

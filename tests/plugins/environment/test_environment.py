@@ -16,7 +16,8 @@ from ffsm_drake import load_scenario
 from ffsm_drake.plugins.analysis.balances import energy_residual
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.environment.environment import EnvironmentForce, orbital_force
-from ffsm_drake.runs.rollout import Rollout, make_rollout
+from ffsm_drake.runs.phases import make_rollout
+from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import NOTHING, Approach, Environment, Scenario, SolarPressure
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.craft import Craft, make_true_plant

@@ -20,7 +20,7 @@ from ffsm_drake.plugins.estimators.filter_gains import (
     late_gains,
 )
 from ffsm_drake.plugins.estimators.kalman import KalmanEstimator, LateKalmanEstimator
-from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import ESTIMATOR_KINDS
 from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import Sample, gain_vectors

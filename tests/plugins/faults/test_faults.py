@@ -21,7 +21,7 @@ from ffsm_drake import (
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.runs.limits import run_remarks
-from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import Fault, Faults, thrusters_of
 from ffsm_drake.spacecraft.coordinates import position_error
 from ffsm_drake.spacecraft.craft import make_nominal_plant

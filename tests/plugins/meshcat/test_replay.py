@@ -19,7 +19,7 @@ from ffsm_drake.plugins.meshcat.recording import recording_html
 from ffsm_drake.plugins.meshcat.replay_view import ReplayView
 from ffsm_drake.plugins.meshcat.solids import SwitchedSolids, solids_of
 from ffsm_drake.plugins.meshcat.stage import start_meshcat
-from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import load_scenario, thruster_layouts
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.plan import load_plan

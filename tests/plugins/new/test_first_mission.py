@@ -20,7 +20,7 @@ from ffsm_drake.plugins.new.asked import Asked, WheelData
 from ffsm_drake.plugins.new.first_scenario import new_scenario
 from ffsm_drake.plugins.new.postures import Arm
 from ffsm_drake.plugins.new.urdf.servicer import read_urdf
-from ffsm_drake.runs.rollout import make_rollout
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import thrusters_of
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.craft import make_true_plant

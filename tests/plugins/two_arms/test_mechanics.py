@@ -19,7 +19,7 @@ from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.spacecraft.craft import make_true_plant
 from ffsm_drake.spacecraft.mission import make_mission
-from ffsm_drake.spacecraft.start import state_at_start
+from ffsm_drake.systems.start import state_at_start
 
 NQ, NV = 19, 18
 FREE = ["sensing.velocity_noise=0", "disturbance.amplitude_scale=0", "chain.law=plain"]

@@ -13,7 +13,6 @@ import math
 from collections.abc import Sequence
 from typing import Literal
 
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.stability.adaptation import adapts, reached_gains
 from ffsm_drake.plugins.design.stability.linear_loop import (
@@ -32,6 +31,7 @@ from ffsm_drake.plugins.design.stability.moving import (
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import closing_contacts, closing_times
 from ffsm_drake.spacecraft.mission import Mission, make_mission
+from ffsm_drake.systems.closed_chains import CLOSED_CHAINS
 
 Leg = Literal["approach", "stop", "motion"]
 Status = Literal["stable", "errors grow", "cannot say", "unstable"]
@@ -167,7 +167,7 @@ def chain_growth(linearizer: Linearizer) -> str:
     if not is_chain or linearizer.law is None or not loop.unit_poles:
         return ""
     end = linearizer.motion.evaluate(linearizer.end)[0]
-    return SERVICES.load("closed_chain_growth", "contacts")(
+    return CLOSED_CHAINS.only("contacts").growth(
         linearizer.mission, linearizer.law, end, grip, loop.unit_poles
     )
 

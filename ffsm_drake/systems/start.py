@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from ffsm_drake.common.registrations import SERVICES
 from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration
+from ffsm_drake.systems.closed_chains import CLOSED_CHAINS
+from ffsm_drake.systems.grasping import GRASPINGS
 
 
 def velocity_at_start(mission: Mission, model: PlantModel) -> np.ndarray:
@@ -25,14 +26,10 @@ def state_at_start(mission: Mission, model: PlantModel) -> np.ndarray:
     if scenario.grasps and model.grip.holds:
         state[model.plant.num_positions() :] += _after_grasp(mission, model)
     if len(scenario.contacts) > 1:
-        closed: np.ndarray = SERVICES.load("closed_chain_start", "contacts")(mission, model, state)
-        return closed
+        return CLOSED_CHAINS.only("contacts").start(mission, model, state)
     return state
 
 
 def _after_grasp(mission: Mission, model: PlantModel) -> np.ndarray:
     """Velocity (nv) right after the grasp of the target with the model's payload."""
-    velocity: np.ndarray = SERVICES.load("planned_contact", "capture")(
-        mission, model
-    ).grasp.velocity
-    return velocity
+    return GRASPINGS.only("capture").contact(mission, model).grasp.velocity

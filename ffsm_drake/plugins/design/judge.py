@@ -1,0 +1,31 @@
+"""The judge of missions for the core and the report."""
+
+from ffsm_drake.plugins.design.layers import layer_remarks
+from ffsm_drake.plugins.design.limit import find_limit
+from ffsm_drake.plugins.design.remarks import plan_remarks
+from ffsm_drake.plugins.design.remedy_file import write_remedy
+from ffsm_drake.plugins.design.verdict import helpful_remarks, mission, verdict
+from ffsm_drake.runs.judge import Judge
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.mission import Mission
+
+
+class LinearJudge(Judge):
+    """Judges by the linear loop, and rehearsals where they are asked for."""
+
+    remarks = staticmethod(plan_remarks)
+    validate = staticmethod(mission)
+    layers = staticmethod(layer_remarks)
+    advice = staticmethod(helpful_remarks)
+    remedy = staticmethod(write_remedy)
+
+    def warnings(self, mission: Mission) -> list[str]:
+        """See Judge."""
+        return verdict(mission, rehearsal=False).warnings
+
+    def distance(self, mission: Scenario | Mission) -> float:
+        """See Judge."""
+        return find_limit(mission).distance
+
+
+JUDGE = LinearJudge()
