@@ -81,21 +81,24 @@ def least_cost(
     }  # fmt: skip
     found = repeated(_round, state, {"largest": largest, "slack": slack}, most=_ROUNDS)
 
-    def whole(values: Any) -> Any:
-        """All forces, and s."""
-        ranges = _ranges(found, largest)
-        made = [
-            _picked(found["basis"] == k, values, np.where(found["is_full"][k] > 0.0, ranges[k], 0))
-            for k in numbers
-        ]
-        low = np.where(found["has_part"] > 0.0, found["part"] * (1.0 - slack), 0.0)
-        return np.stack([*made[:-1], made[-1] + low])
-
     # Many rounds leave rounding, which the columns themselves have not. B^-1 = T B0 B0^-1.
-    left = start.inverse @ (columns @ (begin - whole(found["values"])))
-    forces = whole(found["values"] + found["table"][:6, basis] @ left)[:-1]
+    whole = _whole(found, found["values"], largest, slack)
+    left = start.inverse @ (columns @ (begin - whole))
+    values = found["values"] + found["table"][:6, basis] @ left
+    forces = _whole(found, values, largest, slack)[:-1]
     forces = np.where(found["goes"] > 0.0, np.nan, forces)
     return np.minimum(np.maximum(forces, 0.0), largest), found["part"]
+
+
+def _whole(found: Mapping[str, Any], values: Any, largest: np.ndarray, slack: float) -> Any:
+    """All forces, and s, from those of the basis."""
+    ranges = _ranges(found, largest)
+    made = [
+        _picked(found["basis"] == k, values, np.where(found["is_full"][k] > 0.0, ranges[k], 0))
+        for k in range(largest.size + 1)
+    ]
+    low = np.where(found["has_part"] > 0.0, found["part"] * (1.0 - slack), 0.0)
+    return np.stack([*made[:-1], made[-1] + low])
 
 
 def _round(state: Mapping[str, Any], fixed: Mapping[str, Any]) -> Mapping[str, Any]:

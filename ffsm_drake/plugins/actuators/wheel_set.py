@@ -40,6 +40,14 @@ class WheelTorques:
     on_base: np.ndarray  # (3) in the base's axes, without the gyroscopic torque, N m
 
 
+def _no_torque_about(axis: np.ndarray) -> ScenarioError:
+    listed = ", ".join(f"{number:.3g}" for number in axis.round(3) + 0.0)
+    return ScenarioError(
+        "actuation.wheels.units",
+        f"give no torque about the axis [{listed}] of the base; add wheels, or actuation.thrusters",
+    )
+
+
 class WheelSet:
     """Torques of a set of wheels: pure functions of arrays."""
 
@@ -84,12 +92,7 @@ class WheelSet:
         left, sizes, _ = np.linalg.svd(used)
         self._lost = left[:, np.count_nonzero(sizes > 1e-9) :].T  # unit axes of no torque
         if alone and len(self._lost):
-            axis = ", ".join(f"{number:.3g}" for number in self._lost[-1].round(3) + 0.0)
-            raise ScenarioError(
-                "actuation.wheels.units",
-                f"give no torque about the axis [{axis}] of the base; add wheels, or "
-                "actuation.thrusters",
-            )
+            raise _no_torque_about(self._lost[-1])
         # Speeds that together give the base nothing.
         self._idle = np.eye(len(self.names)) - self._share @ self.axes
         self._opposed = np.diag(1.0 * works) - self._share @ used  # N
