@@ -10,7 +10,6 @@ import dataclasses
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
@@ -22,6 +21,7 @@ from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.so3 import cross, rotation_error
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.remarks import plan_clearance
+from ffsm_drake.plugins.new.draft import Draft
 from ffsm_drake.plugins.new.postures import CLEAR, Postures
 from ffsm_drake.plugins.new.urdf.formats.building import text
 from ffsm_drake.plugins.new.urdf.target import SECOND, Target
@@ -55,7 +55,7 @@ class _Hold:
 class Hands(Postures):
     """The search for postures in which two hands hold a target, and for a motion between two."""
 
-    def __init__(self, draft: Any, target: Target) -> None:
+    def __init__(self, draft: Draft, target: Target) -> None:
         """Prepare the search.
 
         Args:
@@ -70,7 +70,8 @@ class Hands(Postures):
             )
         super().__init__(draft)
         self._draft, self._target = draft, target
-        self._tips = draft.servicer.tip, draft.servicer.second
+        tips = draft.servicer.tip, draft.servicer.second
+        self._tips = [tip for tip in tips if tip is not None]
         self._hands = [self._frame(f"servicer::{tip.frame}") for tip in self._tips]
         self._body = self._frame(f"debris::{target.body}")
         hands = [f"servicer::{tip.frame}" for tip in self._tips]

@@ -1,12 +1,12 @@
 """Positions of the joints of a new servicer: dexterity, and the distances of its parts."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from pydrake.multibody.tree import Frame, JacobianWrtVariable
 
 from ffsm_drake.common.steps import step
+from ffsm_drake.plugins.new.draft import Draft
 from ffsm_drake.spacecraft.clearance import Clearance, Nearest
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.plant import base_body, find_frame
@@ -19,7 +19,7 @@ _LEAST_REACH = 0.05  # m
 class Postures:
     """Positions of all joints (n), rad or m, with the base at the origin."""
 
-    def __init__(self, draft: Any) -> None:
+    def __init__(self, draft: Draft) -> None:
         """Read ranges and resting positions of the joints of a ``Draft``."""
         self.plant, self.context = draft.true.plant, draft.true.context
         self.names, named = draft.coordinates.joints, {j.name: j for j in draft.servicer.joints}
@@ -69,7 +69,7 @@ class Postures:
 class Arm(Postures):
     """Positions of the joints that move the tip (m). The other joints are at ``Joint.rest``."""
 
-    def __init__(self, draft: Any) -> None:
+    def __init__(self, draft: Draft) -> None:
         super().__init__(draft)
         model, tip = draft.scenario.model, draft.servicer.tip
         self.clearance = Clearance(model, flexible=True)  # real shapes only

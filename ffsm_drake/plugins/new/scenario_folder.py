@@ -16,7 +16,7 @@ from ffsm_drake.common.files import write_text
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.new.asked import Asked
-from ffsm_drake.plugins.new.first_mission import Draft
+from ffsm_drake.plugins.new.first_mission import FirstMission
 from ffsm_drake.plugins.new.result import NewScenario, limits_text
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
 from ffsm_drake.plugins.new.urdf.target import SECOND, Target, cube
@@ -131,12 +131,12 @@ class _Making:
         """Return a cube as the target. See ``cube``."""
         return cube(mass, side, self.servicer, share=_PAYLOAD_SHARE)
 
-    def placed(self, target: Target, folder: Path, seed: int = 0) -> tuple[list[str], Draft]:
+    def placed(self, target: Target, folder: Path, seed: int = 0) -> tuple[list[str], FirstMission]:
         """Return remarks on omitted parts, and a draft with postures; a seed draws others."""
         own = copy.deepcopy(dict(self.data))
         left_out = _write_models(own, self.servicer, folder, target, packages=self.packages)
         source = str(folder / f"{folder.name}.yaml")
-        draft = Draft(own, self.asked, self.servicer, source=source, seed=seed)
+        draft = FirstMission(own, self.asked, self.servicer, source=source, seed=seed)
         draft.place(target)
         return left_out, draft
 
@@ -150,7 +150,7 @@ class _Making:
                         return smaller
         return None
 
-    def redrawn(self, draft: Draft, target: Target, folder: Path) -> Draft:
+    def redrawn(self, draft: FirstMission, target: Target, folder: Path) -> FirstMission:
         """Return a draft with faults, or one with other postures that has none."""
         has_postures = self.asked.capture is not None and self.asked.tips is None
         again = range(1, _TRIES if has_postures else 1)

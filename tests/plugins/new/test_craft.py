@@ -13,12 +13,13 @@ from outside_urdfs import TURN, joint, link, robot
 
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import ModelError, ScenarioError
-from ffsm_drake.plugins.new import first_mission
+from ffsm_drake.plugins.new import approach
 from ffsm_drake.plugins.new.asked import Asked, WheelData
 from ffsm_drake.plugins.new.base_box import BaseBox
 from ffsm_drake.plugins.new.command import _target as parsed_target
 from ffsm_drake.plugins.new.first_scenario import new_scenario
 from ffsm_drake.plugins.new.result import NewScenario
+from ffsm_drake.plugins.new.tuning import Tuning
 from ffsm_drake.plugins.new.urdf.mounting import make_bus
 from ffsm_drake.plugins.new.urdf.servicer import read_urdf
 from ffsm_drake.plugins.new.urdf.target import cube, read_target
@@ -410,8 +411,8 @@ def test_thrusters_and_panels_are_on_the_box_of_the_base(
         extra="".join(itertools.starmap(box_at, pictures)),
     )
     asked = Asked.parsed(thrusters=word, panels=f"{count}x{0.05 * mass:.6f}kg", driven="all")
-    monkeypatch.setattr(first_mission, "_SAMPLES", 4)
-    monkeypatch.setattr(first_mission.Draft, "_tune", lambda self: None)  # gains play no part
+    monkeypatch.setattr(approach, "_SAMPLES", 4)
+    monkeypatch.setattr(Tuning, "tune", lambda self: None)  # gains play no part
     text = arm(bus=bus, length=4.0, on=middle[2] + half[2] + 0.6)
     try:
         new = made(tmp_path, text, asked=asked)
