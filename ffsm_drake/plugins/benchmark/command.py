@@ -1,7 +1,9 @@
 """The command ``ffsm benchmark``."""
 
 import sys
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,6 +17,10 @@ from ffsm_drake.cli.common import (
     table_option,
 )
 from ffsm_drake.plugins.campaign.command import campaign_progress, processors, workers_option
+
+if TYPE_CHECKING:
+    from ffsm_drake.common.errors import InterruptedCampaign
+    from ffsm_drake.plugins.benchmark.missions import Board, Mission
 
 
 @click.command()
@@ -48,16 +54,8 @@ def benchmark(
       ffsm benchmark --check
       ffsm benchmark paper --table out/paper.tex
     """
-    from ffsm_drake.common.errors import InterruptedCampaign
     from ffsm_drake.common.files import check_writable, write_text
-    from ffsm_drake.common.steps import step
-    from ffsm_drake.plugins.benchmark.missions import (
-        board_so_far,
-        check_mission,
-        load_mission,
-        mission_names,
-        run_mission,
-    )
+    from ffsm_drake.plugins.benchmark.missions import check_mission, load_mission, mission_names
     from ffsm_drake.plugins.benchmark.page import (
         benchmark_data,
         benchmark_page,
@@ -65,7 +63,6 @@ def benchmark(
         board_text,
         checks_table,
     )
-    from ffsm_drake.plugins.workers.pool import local_workers, stop_on_signals
     from ffsm_drake.runs.record import to_json
     from ffsm_drake.show.table_files import write_table
     from ffsm_drake.show.tables import aligned
@@ -77,25 +74,13 @@ def benchmark(
     loaded = [load_mission(name) for name in missions or mission_names()]
     if check:
         loaded = [mission for mission in loaded if mission.checks]
-    boards, texts = [], []
-    interrupted: InterruptedCampaign | None = None
-    with stop_on_signals() as stop, local_workers(workers or processors()) as crew:
-        for mission in loaded:
-            laws = mission.checked_laws if check else controller
-            runs = folder / "runs"
-            try:
-                if interrupted is None:
-                    name = mission.name
-                    with step(name), campaign_progress(name) as progress:
-                        board = run_mission(
-                            mission, laws, runs, workers=crew, stop=stop, progress=progress
-                        )
-            except InterruptedCampaign as error:
-                interrupted = error
-            boards.append(board_so_far(mission, laws, runs) if interrupted else board)
-            texts.append(board_text(boards[-1]))
-            if not as_json:
-                click.echo(f"{texts[-1]}\n")
+
+    def told(board: "Board") -> None:
+        if not as_json:
+            click.echo(f"{board_text(board)}\n")
+
+    laws = [(mission, mission.checked_laws if check else controller) for mission in loaded]
+    boards, interrupted = _run(laws, folder / "runs", workers or processors(), told)
     checks = [each for board in boards for each in check_mission(board)] if not controller else []
     data, published = benchmark_data(boards, checks), checks_table(checks)
     write_text(folder / "benchmark.json", to_json(data))
@@ -107,3 +92,34 @@ def benchmark(
     if interrupted is not None:
         raise interrupted
     sys.exit(EXIT_GOOD if all(each.holds for each in checks) else EXIT_UNSTABLE)
+
+
+def _run(
+    laws: Iterable[tuple["Mission", Sequence[str]]],
+    runs: Path,
+    workers: int,
+    told: Callable[["Board"], None],
+) -> tuple[list["Board"], "InterruptedCampaign | None"]:
+    """Run missions with their laws. Return the boards, each of which is told, and what interrupted
+    them.
+    """
+    from ffsm_drake.common.errors import InterruptedCampaign
+    from ffsm_drake.common.steps import step
+    from ffsm_drake.plugins.benchmark.missions import board_so_far, run_mission
+    from ffsm_drake.plugins.workers.pool import local_workers, stop_on_signals
+
+    boards = list["Board"]()
+    interrupted: InterruptedCampaign | None = None
+    with stop_on_signals() as stop, local_workers(workers) as crew:
+        for mission, own in laws:
+            try:
+                if interrupted is None:
+                    with step(mission.name), campaign_progress(mission.name) as progress:
+                        board = run_mission(
+                            mission, own, runs, workers=crew, stop=stop, progress=progress
+                        )
+            except InterruptedCampaign as error:
+                interrupted = error
+            boards.append(board_so_far(mission, own, runs) if interrupted else board)
+            told(boards[-1])
+    return boards, interrupted

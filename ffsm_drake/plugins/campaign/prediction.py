@@ -133,6 +133,17 @@ class StabilityMap:
         return np.clip(np.nan_to_num(radius, nan=np.inf), 0.9, 1.1)
 
 
+def _check_axes(axes: tuple[str, str], values: Mapping[str, np.ndarray]) -> None:
+    """Raise CampaignError unless the axes are two numbers of the cases."""
+    for name in axes:
+        if name not in values:
+            raise CampaignError(
+                f"--map: '{name}' is not a sampled number; choose two of {', '.join(values)}"
+            )
+    if axes[0] == axes[1]:
+        raise CampaignError("--map: needs two different values")
+
+
 def predict_map(
     spec: Spec,
     axes: tuple[str, str],
@@ -149,13 +160,7 @@ def predict_map(
     ``time.monotonic``, s; ``progress`` is called with (done, total) controllers. Raises
     CampaignError when an axis is not a sampled number, or both are the same.
     """
-    for name in axes:
-        if name not in values:
-            raise CampaignError(
-                f"--map: '{name}' is not a sampled number; choose two of {', '.join(values)}"
-            )
-    if axes[0] == axes[1]:
-        raise CampaignError("--map: needs two different values")
+    _check_axes(axes, values)
     log = [spec.distributions[name].is_logarithmic for name in axes]
     points = min(POINTS, max(FEWEST_POINTS, math.ceil(math.sqrt(spec.cases))))
     finer = REFINEMENT if points == POINTS else LEAST_REFINEMENT

@@ -114,6 +114,7 @@ def momentum_budget(mission: Mission) -> MomentumBudget | None:
     times, q, spin = _along(mission, model, contact.q)
     end = free_floating(model, q[-1])
     mass = float(end.mass_matrix[3, 3])
+    speed = float(np.linalg.norm(linear)) / mass
     stored = on_arm = None
     turning = np.zeros(3)  # the part of ``angular`` that turns the stack
     if "base_rotation" in scenario.undriven:
@@ -132,11 +133,8 @@ def momentum_budget(mission: Mission) -> MomentumBudget | None:
     used_up: dict[str, float | None] = {}
     if accepted:
         path = np.vstack([q[:-1, :NUM_BASE_POSITIONS], _coast(end, q[-1], linear, turning)])
-        used_up = _used_up(
-            path,
-            np.r_[times[:-1], times[-1] + np.linspace(0.0, LONGEST, _INSTANTS_AFTER)],
-            accepted,
-        )
+        after = times[-1] + np.linspace(0.0, LONGEST, _INSTANTS_AFTER)
+        used_up = _used_up(path, np.r_[times[:-1], after], accepted)
     return MomentumBudget(
         linear=linear.tolist(),
         angular=of_bodies.tolist(),
@@ -144,9 +142,7 @@ def momentum_budget(mission: Mission) -> MomentumBudget | None:
         least_time=least,
         storage=stored,
         arm=on_arm,
-        drift=float(np.linalg.norm(linear)) / mass
-        if "base_position" in scenario.undriven
-        else None,
+        drift=speed if "base_position" in scenario.undriven else None,
         rate=float(np.linalg.norm(np.linalg.solve(end.spin_map[:, :3], turning)))
         if turning.any()
         else None,

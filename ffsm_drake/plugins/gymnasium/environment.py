@@ -147,6 +147,17 @@ class Steering:
         )
 
 
+def _check(action: str, weights: Mapping[str, float], samples_per_step: int) -> None:
+    """Raise FfsmError: an action or a weight is unknown, or a number of samples is wrong."""
+    if action not in ACTIONS:
+        raise FfsmError(f"action: must be one of {', '.join(ACTIONS)}, not {action!r}")
+    if unknown := set(weights) - set(WEIGHTS):
+        raise FfsmError(f"weights: knows {', '.join(WEIGHTS)}, not {', '.join(unknown)}")
+    if samples_per_step != int(samples_per_step) or samples_per_step < 1:
+        problem = f"must be a whole number from 1 on, not {samples_per_step}"
+        raise FfsmError(f"samples_per_step: {problem}")
+
+
 class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """A scenario controlled by the agent, or by a law with the agent's corrections.
 
@@ -191,13 +202,7 @@ class MissionEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         Raises ScenarioError, BlockError, ModelError as ``simulate``; FfsmError for an unknown
         action or weight, or a wrong ``samples_per_step``.
         """
-        if action not in ACTIONS:
-            raise FfsmError(f"action: must be one of {', '.join(ACTIONS)}, not {action!r}")
-        if unknown := set(weights or {}) - set(WEIGHTS):
-            raise FfsmError(f"weights: knows {', '.join(WEIGHTS)}, not {', '.join(unknown)}")
-        if samples_per_step != int(samples_per_step) or samples_per_step < 1:
-            problem = f"must be a whole number from 1 on, not {samples_per_step}"
-            raise FfsmError(f"samples_per_step: {problem}")
+        _check(action, weights or {}, samples_per_step)
         if not isinstance(scenario, Scenario):
             scenario = load_scenario(scenario, overrides)
         law = law or scenario.controller

@@ -135,12 +135,7 @@ def render_report(
     ``folder``.
     """
     results = results_of(records)
-    given = {
-        name: section
-        for name in _FROM_PLUGINS
-        if (make := REPORT_SECTIONS.find(name)) is not None
-        and (section := make(results)) is not None
-    }
+    given = _given(results)
     views = run_views(results)
     of_parts = {
         f"part_{re.sub(r'[^a-z0-9]+', '_', title.lower())}": (title, part.about)
@@ -177,6 +172,16 @@ def render_report(
     }
     package = "ffsm_drake.plugins.report"
     return render("report.html.j2", content, package=package, views=views)
+
+
+def _given(results: Sequence[Result]) -> dict[str, Section]:
+    """The sections of plug-ins that have something to show, by name."""
+    return {
+        name: section
+        for name in _FROM_PLUGINS
+        if (make := REPORT_SECTIONS.find(name)) is not None
+        and (section := make(results)) is not None
+    }
 
 
 def _heading(records: Sequence[RunRecord], title: str | None) -> Json:
