@@ -41,7 +41,7 @@ from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import make_controller
 from ffsm_drake.systems.frame_path import goal_frame
 from ffsm_drake.systems.reference import make_motion
-from ffsm_drake.systems.registry import Factory, find_factory
+from ffsm_drake.systems.registry import Factory, find_factory, name_of
 
 _SAMPLES = 25
 Sample = dict[str, np.ndarray]  # inputs of a controller, by port
@@ -101,7 +101,7 @@ def check_controller(
         if isinstance(factory, str):
             name, factory = controller_key(factory), find_factory("controller", factory)
         else:
-            name = getattr(factory, "__name__", type(factory).__name__)
+            name = name_of(factory)
         candidate = _Candidate(name=name, factory=factory, gains=gains or {})
         with guarded:
             passed = [check(candidate, base) for check in checks]
@@ -138,7 +138,7 @@ def check_block(
       ConformanceError: the first part of the contract that is broken.
     """
     base = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-    place = f"blocks.{block} '{getattr(factory, '__name__', type(factory).__name__)}'"
+    place = f"blocks.{block} '{name_of(factory)}'"
     base = dataclasses.replace(base, duration=_SAMPLES * base.sample_time)
     if settings:
         key = "sensing.sensing" if block == "sensing" else block
@@ -185,7 +185,7 @@ class _Candidate:
     gains: Mapping[str, PerCoordinate]
 
     def build(self, scenario: Scenario) -> System:
-        key = getattr(self.factory, "__name__", type(self.factory).__name__)
+        key = name_of(self.factory)
         mission = Mission(dataclasses.replace(scenario, controllers={key: dict(self.gains)}))
         controller = make_controller(mission, mission.craft.nominal(), self.factory)
         check_ports(controller, "controller", mission.craft.coordinates, place=str(self))

@@ -61,12 +61,14 @@ class _Shape(NamedTuple):
     inner: Any  # see ``without_null``
     origin: Any
     args: tuple[Any, ...]
+    shorthand: str | None  # key of a group whose value may stand for the group
 
 
 @functools.cache
 def _shape_of(schema: Any) -> _Shape:
     inner, origin = without_null(schema), typing.get_origin(schema)
-    return _Shape(schema_fields(schema), inner, origin, typing.get_args(schema))
+    shorthand = getattr(schema, "SHORTHAND", None)
+    return _Shape(schema_fields(schema), inner, origin, typing.get_args(schema), shorthand)
 
 
 @functools.cache
@@ -93,7 +95,7 @@ def build(schema: Any, data: Any) -> Any:
     if data is None:
         return None
     schema = _shape_of(schema).inner
-    fields, _, origin, args = _shape_of(schema)
+    fields, _, origin, args, _ = _shape_of(schema)
     if fields is not None:
         return schema(**{key: build(kind, data[key]) for key, kind in fields.items()})
     if origin is dict:
@@ -132,7 +134,8 @@ def resolve(schema: Any, default: Any, data: Any, path: str) -> Any:
         return _convert_leaf(schema, data, path)
     if schema is Any:
         return _plain(data, path)
-    fields, inner, origin, args = _shape_of(schema)
+    data = _in_full(schema, data)
+    fields, inner, origin, args, _ = _shape_of(schema)
     if fields is not None:
         return _resolve_group(schema, default, data, path)
     if inner is not schema:
@@ -154,8 +157,6 @@ def resolve(schema: Any, default: Any, data: Any, path: str) -> Any:
 def _resolve_group(schema: Any, default: Any, data: Any, path: str) -> dict[str, Any]:
     """``resolve`` for a group of settings."""
     fields: Mapping[str, Any] = _shape_of(schema).fields or {}
-    if isinstance(data, str) and hasattr(schema, "SHORTHAND"):
-        data = {schema.SHORTHAND: data}
     if not isinstance(data, Mapping):
         raise ScenarioError(path, f"must be a mapping with keys {some(fields)}, not {shown(data)}")
     for key in data:
@@ -179,8 +180,6 @@ def _resolve_named(kind: Any, data: Any, path: str) -> dict[str, Any]:
                 "{all: 1, joints: 2}",
             )
         data = {"all": data}
-    if _is_alone(kind, data):
-        data = {"own": data}
     if not isinstance(data, Mapping):
         raise ScenarioError(path, f"must be a mapping, not {shown(data)}")
     blank = None if schema_fields(kind) is None else defaults_of(kind)
@@ -191,11 +190,15 @@ def _resolve_named(kind: Any, data: Any, path: str) -> dict[str, Any]:
     return {key: resolve(kind, blank, item, join(path, key)) for key, item in data.items()}
 
 
-def _is_alone(schema: Any, data: Any) -> bool:
-    """Whether data, in place of a mapping by name, is one value of its type."""
-    shorthand = getattr(schema, "SHORTHAND", None)
-    alone = isinstance(data, str) or (isinstance(data, Mapping) and shorthand in data)
-    return shorthand is not None and alone
+def _in_full(schema: Any, data: Any) -> Any:
+    """Data with a short form written out: a text for a group, or one group for several by name."""
+    shape = _shape_of(schema)
+    if shape.shorthand is not None and isinstance(data, str):
+        return {shape.shorthand: data}
+    if shape.origin is dict and (key := _shape_of(shape.args[1]).shorthand) is not None:
+        alone = isinstance(data, str) or (isinstance(data, Mapping) and key in data)
+        return {"own": data} if alone else data
+    return data
 
 
 def _plain(data: Any, path: str) -> Any:
@@ -258,18 +261,11 @@ def merged(schema: Any, below: Any, above: Any) -> Any:
     if not below:
         return dict(above) if isinstance(above, Mapping) else above
     schema = _shape_of(schema).inner
-    fields, _, origin, args = _shape_of(schema)
+    fields, _, origin, args, _ = _shape_of(schema)
     is_named = origin is dict
-    if fields is not None and hasattr(schema, "SHORTHAND"):
-        below, above = (
-            {schema.SHORTHAND: data} if isinstance(data, str) else data for data in (below, above)
-        )
+    below, above = _in_full(schema, below), _in_full(schema, above)
     if is_named and args[1] in (float, int) and isinstance(below, (float, int)):
         below = {"all": below}
-    if is_named and hasattr(args[1], "SHORTHAND"):
-        below, above = (
-            {"own": data} if _is_alone(args[1], data) else data for data in (below, above)
-        )
     if not (isinstance(below, Mapping) and isinstance(above, Mapping)):
         return above
     if kind := getattr(schema, "KIND", None):
@@ -306,7 +302,7 @@ def apply_override(schema: Any, resolved: dict[str, Any], override: str) -> None
         target = target[part]
     schema = _child_schema(schema, last, ".".join(parents))
     fields = schema_fields(schema)
-    if fields is not None and not isinstance(value, Mapping) and not hasattr(schema, "SHORTHAND"):
+    if fields is not None and not isinstance(value, Mapping) and not _shape_of(schema).shorthand:
         keys = ", ".join(f"{key}.{name}" for name in fields)
         raise ScenarioError(key, f"is a section, not a value; set one of its keys: {keys}")
     default = target.get(last) or defaults_of(schema) if fields is not None else None

@@ -217,6 +217,11 @@ def find_factory(
     return factory
 
 
+def name_of(factory: Factory) -> str:
+    """Return the name of a factory; of an object that is called, the name of its class."""
+    return getattr(factory, "__name__", type(factory).__name__)
+
+
 def address_of(factory: Factory) -> str:
     """``module:attribute`` of a factory, for ``find_factory``; else its name."""
     name = str(getattr(factory, "__qualname__", type(factory).__name__))

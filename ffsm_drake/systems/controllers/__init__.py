@@ -25,7 +25,7 @@ from ffsm_drake.systems.controllers.law import (
 )
 from ffsm_drake.systems.controllers.sampled import OPTIONAL_OUTPUTS, SMALLEST, SampledController
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
-from ffsm_drake.systems.registry import Factory, block_names, call_factory, find_factory
+from ffsm_drake.systems.registry import Factory, block_names, call_factory, find_factory, name_of
 from ffsm_drake.systems.setup import BlockSetup
 
 __all__ = [
@@ -101,7 +101,7 @@ def make_controller(
       BlockError: a user-supplied controller cannot be loaded or built.
     """
     if factory is not None:
-        mission = mission.flown_by(controller=getattr(factory, "__name__", type(factory).__name__))
+        mission = mission.flown_by(controller=name_of(factory))
     scenario, setup = mission.scenario, controller_setup(mission, nominal)
     _check_other_gains(scenario, setup.coordinates)
     if closing_contacts(scenario, nominal.grip) and scenario.chain.law != "plain":
