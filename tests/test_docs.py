@@ -381,6 +381,30 @@ def test_named_files_exist():
     assert not [file for file in named if "NAME" not in file and not (root / file).exists()]
 
 
+LINKED = re.compile(r"\[`(\w+)`\]\(\.\./(ffsm_drake/[\w/]+\.py)\)")
+
+
+def links_to_code(page: str) -> list[tuple[str, str]]:
+    """Names of a page and the files that they are linked to."""
+    return LINKED.findall((DOCS / page).read_text(encoding="utf-8"))
+
+
+def test_linked_names_are_in_the_files_that_they_lead_to():
+    found = links_to_code("how_a_run_works.md")
+    assert len(found) > 40
+    for name, file in found:
+        code = (ROOT / file).read_text(encoding="utf-8")
+        assert re.search(rf"^ *(?:def|class) {name}\b|^{name}\b.* = ", code, re.MULTILINE), name
+
+
+def test_every_name_of_the_package_in_a_run_is_linked():
+    linked = {name for name, _ in links_to_code("how_a_run_works.md")}
+    for block in blocks(DOCS / "how_a_run_works.md", "python"):
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.ImportFrom) and str(node.module).startswith("ffsm_drake"):
+                assert {each.name for each in node.names} <= linked
+
+
 def test_the_tutorial_is_stored_without_outputs():
     notebook = json.loads((DOCS / "tutorial.ipynb").read_text())
     code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
