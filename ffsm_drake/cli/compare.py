@@ -27,7 +27,7 @@ from ffsm_drake.cli.simulating import (
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
-    from ffsm_drake.scenario import Scenario
+    from ffsm_drake.spacecraft.mission import Mission
 
 
 @click.command()
@@ -63,6 +63,7 @@ def compare(
     from ffsm_drake.common.files import check_writable
     from ffsm_drake.runs.record import check_saving, record_stamp
     from ffsm_drake.scenario import controller_key, load_scenario, override_scenario
+    from ffsm_drake.spacecraft.mission import Mission
     from ffsm_drake.spacecraft.plant import check_pictures
     from ffsm_drake.systems.controllers import PAPER_LAWS
 
@@ -76,11 +77,13 @@ def compare(
     if report:
         check_pictures(base.model)
     scenarios = [override_scenario(base, [f"controller={name}"]) for name in names]
-    _check_starts(scenarios, scenario, overrides)
+    mission = Mission(base)
+    missions = [mission.of(each) for each in scenarios]
+    _check_starts(missions, scenario, overrides)
     warn_replaced(zip(folders, scenarios, strict=True), directory)
     before = [record_stamp(folder) for folder in folders]
     records: list[RunRecord] = []
-    for chosen, folder, old in zip(scenarios, folders, before, strict=True):
+    for chosen, folder, old in zip(missions, folders, before, strict=True):
         with located_errors(scenario, overrides):
             record = simulated(chosen, folder, old)
         saved(record, folder, old)
@@ -116,13 +119,13 @@ def _checked_names(names: Sequence[str], overrides: Sequence[str]) -> Sequence[s
     return names
 
 
-def _check_starts(scenarios: Sequence["Scenario"], source: str, overrides: Sequence[str]) -> None:
-    """Check all scenarios before any of them runs."""
+def _check_starts(missions: Sequence["Mission"], source: str, overrides: Sequence[str]) -> None:
+    """Check all missions before any of them runs."""
     from ffsm_drake.runs.simulate import check_start
 
-    for scenario in scenarios:
+    for mission in missions:
         with located_errors(source, overrides, "--controller"):
-            check_start(scenario)
+            check_start(mission)
 
 
 def _distances(records: Sequence["RunRecord"]) -> list[float] | None:

@@ -91,6 +91,7 @@ def run(
     from ffsm_drake.cli.finishing import finish
     from ffsm_drake.runs.engine import DRAKE
     from ffsm_drake.runs.record import RunRecord, check_saving, record_stamp
+    from ffsm_drake.spacecraft.mission import Mission
     from ffsm_drake.spacecraft.plant import check_pictures
 
     if (live := meshcat or foxglove or controls) and engine not in (None, DRAKE):
@@ -118,7 +119,7 @@ def run(
         tell = partial(click.echo, err=True)
         record = LIVE.load("foxglove", "--foxglove")(scenario, tell=tell)
     else:
-        record = simulated(scenario, directory, before, engine)
+        record = simulated(Mission(scenario), directory, before, engine)
     directory = saved(record, directory, before)
     code = finish([record], directory, as_json=as_json, report=report, require=require)
     if first is not None:

@@ -14,6 +14,7 @@ from ffsm_drake.common.interrupts import writing
 if TYPE_CHECKING:
     from ffsm_drake.runs.record import RunRecord
     from ffsm_drake.scenario import Scenario
+    from ffsm_drake.spacecraft.mission import Mission
 
 run_folder_option = out_option(
     help="Default: out/NAME of the scenario, with the controller's name added if it is not the "
@@ -63,21 +64,21 @@ def warn_replaced(planned: Iterable[tuple[Path, "Scenario"]], directory: Path) -
 
 
 def simulated(
-    scenario: "Scenario", directory: Path, before: Any, engine: str = "drake"
+    mission: "Mission", directory: Path, before: Any, engine: str = "drake"
 ) -> "RunRecord":
     """Return a run's record; of a run in which a user-supplied block fails, save it up to then."""
     from ffsm_drake.common.errors import BlockError
     from ffsm_drake.runs.reading import REPORT_FILE
     from ffsm_drake.runs.simulate import simulate
 
-    name = scenario.controller
+    name = mission.scenario.controller
     with ProgressLine() as line:
 
         def progress(time: float, duration: float) -> None:
             line.show(f"{name}: {time:4.0f} of {duration:g} s")
 
         try:
-            record = simulate(scenario, progress=progress, engine=engine)
+            record = simulate(mission, progress=progress, engine=engine)
         except BlockError as error:
             if error.record is not None:
                 directory = saved(error.record, directory, before)

@@ -187,8 +187,7 @@ class Rollout:
             times = times[: bad.sample]
             series = {name: values[: bad.sample] for name, values in series.items()}
         outcome = _outcome(monitor, float(times[-1]), failure, interrupted=interrupted)
-        wall_time = self._wall_time(start, advance_time)
-        log = _make_log(loop, outcome, times, series, wall_time)
+        log = _make_log(loop, outcome, times, series, self._wall_time(start, advance_time))
         if failure is not None:
             failure.log = log
             raise failure
@@ -234,19 +233,7 @@ class Rollout:
         the wall time spent advancing, s.
         """
         simulator, loop = self._simulator, monitor.loop
-        simulator.reset_context(loop.diagram.CreateDefaultContext())
-        # a new integrator: one with error control goes on with its last step's size
-        ApplySimulatorConfig(loop.scenario.simulator_config, simulator)
-        context = simulator.get_mutable_context()
-        loop.initialize(loop.diagram, context)
-        if leg.first:
-            context.SetTime(leg.first * loop.scenario.sample_time)
-        if leg.begin is not None:
-            leg.begin(loop, context)
-        if watched:
-            simulator.set_monitor(monitor)
-        else:
-            simulator.clear_monitor()
+        context = self._begun(monitor, leg, watched=watched)
         sample_time = loop.scenario.sample_time
         last = loop.scenario.num_control_periods if leg.last is None else leg.last
         # A log that doubles its room when it is full copies itself.
@@ -287,6 +274,24 @@ class Rollout:
             elif _is_sound(monitor, context):  # Drake refuses numbers that are not finite
                 failure = self._failure(error, context)
         return interrupted, failure, time.perf_counter() - start
+
+    def _begun(self, monitor: Monitor, leg: Leg, *, watched: bool) -> Context:
+        """Return the context of a new run at the begin of its leg."""
+        simulator, loop = self._simulator, monitor.loop
+        simulator.reset_context(loop.diagram.CreateDefaultContext())
+        # a new integrator: one with error control goes on with its last step's size
+        ApplySimulatorConfig(loop.scenario.simulator_config, simulator)
+        context = simulator.get_mutable_context()
+        loop.initialize(loop.diagram, context)
+        if leg.first:
+            context.SetTime(leg.first * loop.scenario.sample_time)
+        if leg.begin is not None:
+            leg.begin(loop, context)
+        if watched:
+            simulator.set_monitor(monitor)
+        else:
+            simulator.clear_monitor()
+        return context
 
     def _failure(self, error: BaseException, context: Context) -> BlockError:
         """Return the error of a block. Without a user-supplied one, Drake's reason for stopping is

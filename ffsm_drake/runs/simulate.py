@@ -42,7 +42,7 @@ class StabilityWarning(UserWarning):
 
 
 def simulate(
-    scenario: Scenario,
+    scenario: Scenario | Mission,
     *,
     blocks: Mapping[str, Factory] | None = None,
     meshcat: Meshcat | None = None,
@@ -57,7 +57,7 @@ def simulate(
     ``Rollout`` is faster.
 
     Args:
-      scenario: the scenario to run.
+      scenario: the scenario to run, or its mission.
       blocks: block -> factory, which replaces a block of the scenario, such as ``{"sensing": Vicon,
         "forces.friction": Friction}``. A factory is a function of a BlockSetup that returns a Drake
         system, or for the controller a control law. The scenario of the record names importable
@@ -88,7 +88,7 @@ def simulate(
     """
     start, own = time.perf_counter(), find_engine(engine)
     if own is not None:
-        own.check(checked(scenario))
+        own.check(_checked(scenario).scenario)
         if others := [*(blocks or {}), *(["a live view"] if meshcat is not None else [])]:
             raise NotCovered(", ".join(others))
     rollout = prepare(scenario, blocks=blocks, meshcat=meshcat, check_stability=check_stability)
@@ -116,8 +116,14 @@ def _computed(engine: Engine, mission: Mission) -> RunLog | None:
     return log
 
 
+def _checked(given: Scenario | Mission) -> Mission:
+    if isinstance(given, Mission):
+        return given.of(checked(given.scenario))
+    return Mission(checked(given))
+
+
 def prepare(
-    scenario: Scenario,
+    scenario: Scenario | Mission,
     *,
     blocks: Mapping[str, Factory] | None = None,
     meshcat: Meshcat | None = None,
@@ -134,7 +140,7 @@ def prepare(
     Returns: the loop, ready to run.
     """
     with guarded, same_folder():
-        mission = Mission(checked(scenario))
+        mission = _checked(scenario)
         if "reference" not in (blocks or {}) and mission.scenario.blocks.reference is None:
             mission = timed(mission)
         if check_stability and (judge := JUDGES.first()) is not None:
@@ -158,7 +164,7 @@ def prepare(
         return rollout
 
 
-def check_start(scenario: Scenario) -> ClosedLoop:
+def check_start(scenario: Scenario | Mission) -> ClosedLoop:
     """Build and start a scenario's closed loop, without a run; errors as ``simulate``."""
     rollout = prepare(scenario, check_stability=False)
     try:
@@ -227,7 +233,8 @@ def compare(
       >>> [record.scenario.controller for record in records]
       ['tdc', 'asmc']
     """
-    chosen = [dataclasses.replace(scenario, controller=name) for name in controllers]
+    mission = Mission(scenario)
+    chosen = [mission.flown_by(controller=name) for name in controllers]
     for each in chosen:  # before the first run
         check_start(each)
     return [simulate(each, progress=progress) for each in chosen]

@@ -38,8 +38,8 @@ from ffsm_drake.spacecraft.plant import (
     find_frame,
     flexible_parts,
     hand_frame,
-    make_plant,
     model_files,
+    parsed_plant,
 )
 
 TOLERANCE = 1e-6  # m; rounding: parts nearer than that to contact touch, and to a limit keep it
@@ -343,7 +343,7 @@ class ApproachClearance(Clearance):
         Raises the errors of ``Clearance``.
         """
         super().__init__(model, apart=target, flexible=flexible)
-        held = make_plant(model)
+        held = parsed_plant(model)
         frame = hand_frame(held, model)
         body = find_body(held, target, key="payload.body")
         self._X_PE = frame.CalcPose(held.CreateDefaultContext(), body.body_frame())  # in the grasp

@@ -14,7 +14,6 @@ from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_VELOCITIES,
     position_errors,
 )
-from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.systems.parts.signals import INTERNAL_TORQUE, INTERNAL_WORK, STORED_ENERGY
 
 if TYPE_CHECKING:
@@ -114,7 +113,7 @@ def exchanged_momentum(run: Evidence) -> dict[str, float]:
     every = slice(None, None, max(1, len(run.time) // _MAX_SAMPLES))
     velocity = run.values("velocity")[every].copy()
     velocity[:, :NUM_BASE_VELOCITIES] = 0.0
-    mass_matrix = make_nominal_plant(run.scenario).calc_mass_matrix(run.values("position")[every])
+    mass_matrix = run.record.mission.craft.nominal().calc_mass_matrix(run.values("position")[every])
     momentum = times(mass_matrix, velocity)[:, :NUM_BASE_VELOCITIES].reshape(-1, 2, 3)
     sizes = np.linalg.norm(momentum, axis=2).max(axis=0)
     return dict(zip(("angular", "linear"), sizes.tolist(), strict=True))

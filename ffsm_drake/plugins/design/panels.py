@@ -25,7 +25,7 @@ from ffsm_drake.show.style import Style
 
 def stability_section(results: Sequence[Result]) -> Section:
     """The margins of every run, or why there are none."""
-    found = [attempt("stability", result, stability, result.record.scenario) for result in results]
+    found = [attempt("stability", result, stability, result.record.mission) for result in results]
     views = _views(results, [margins for margins, _ in found])
     told = [_told(result, *margins) for result, margins in zip(results, found, strict=True)]
     content = {"stability": told, "shown": views}

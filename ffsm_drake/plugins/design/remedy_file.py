@@ -34,11 +34,11 @@ def run_advice(
     Returns: the share of saturated samples by actuator; remedies for saturation; and, of a failed
     run, those for other causes.
     """
-    scenario = record.scenario
     values = {str(name): each.values for name, each in record.dataset.data_vars.items()}
-    saturated = saturated_shares(scenario, values)
-    found = advice(scenario, saturated, settles=record.ending.is_settled)
-    return saturated, found, remedies(scenario, fails=True) if record.ending.is_failure else ()
+    saturated = saturated_shares(record.scenario, values)
+    found = advice(record.mission, saturated, settles=record.ending.is_settled)
+    others = remedies(record.mission, fails=True) if record.ending.is_failure else ()
+    return saturated, found, others
 
 
 def write_remedy(record: RunRecord, directory: Path) -> Path | None:

@@ -15,7 +15,7 @@ from ffsm_drake.plugins.flight.plant import PlantFiles
 from ffsm_drake.plugins.flight.traced import FlightLaw
 from ffsm_drake.scenario import HELD, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.craft import make_nominal_plant
+from ffsm_drake.spacecraft.craft import Craft
 
 _FRAME = {
     "quaternion": ("w", "x", "y", "z"),
@@ -76,7 +76,7 @@ def _law(scenario: Scenario, files: LawFiles) -> Package:
 
 
 def _plant(scenario: Scenario, files: PlantFiles) -> Package:
-    names = make_nominal_plant(scenario).coordinates
+    names = Craft(scenario).coordinates
     about = "true mass of the payload; its inertia stays"
     mass, seed = scenario.payload.truth.mass, float(scenario.random_seed)
     variables = [

@@ -214,7 +214,7 @@ def _limits_left(results: Sequence[Result]) -> list[str]:
         name = f"{result.label}: " if len(results) > 1 else ""
         try:
             if judge is not None:
-                remarks = judge.remarks(result.record.scenario)
+                remarks = judge.remarks(result.record.mission)
                 sentences += [f"Plan: {remark}." for remark in remarks]
             sentences += [
                 f"{name}Nearest to each other: {closest}."

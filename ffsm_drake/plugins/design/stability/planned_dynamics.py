@@ -13,7 +13,7 @@ from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.inertia import inertia_ratios
-from ffsm_drake.spacecraft.mission import Mission
+from ffsm_drake.spacecraft.mission import Mission, kept
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.disturbance import force_at, sines_of
 from ffsm_drake.systems.reference import make_motion
@@ -21,6 +21,7 @@ from ffsm_drake.systems.reference import make_motion
 _POINTS = 101  # instants at which the lightest coordinates are sought
 
 
+@kept
 def from_grasp(mission: Mission) -> tuple[Mission, Grip]:
     """The mission that begins with the grasp of another, as a user would write it: without approach
     and phases before it; and all its hands on the target. Unchanged without them.
@@ -96,7 +97,7 @@ class PlannedDynamics:
         scenario, coordinates = self.scenario, self.coordinates
         q, v, a = self.motion.evaluate(times)
         disturbance = force_at(times[:, None], sines_of(scenario.disturbance, coordinates))
-        force = self.locked.calc_inverse_dynamics(q, v, a) - disturbance
+        force = self.locked.calc_tracking_force(q, v, a) - disturbance
         if friction and scenario.drives is not None:
             drives = DriveSet(scenario.drives, scenario.actuation.limit, coordinates)
             force[:, NUM_BASE_VELOCITIES:] -= drives.friction(v[:, NUM_BASE_VELOCITIES:])
