@@ -43,7 +43,7 @@ from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario, checked
-from ffsm_drake.spacecraft.mission import Mission, make_mission
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.parts.advice import Advice
 
 _ALONE = ", each by itself"  # of remedies that may help without the others
@@ -291,8 +291,7 @@ def verdict(
       ModelError, ScenarioError: the scenario's model or a value in it cannot be used.
       BlockError: with ``rehearsal``, a user-supplied block fails.
     """
-    mission = make_mission(scenario)
-    mission = mission.of(checked(mission.scenario))
+    mission = scenario if isinstance(scenario, Mission) else Mission(checked(scenario))
     found: dict[str, Any] = dict.fromkeys(("linear", "load", "noises", "run"))
     saturated = dict[str, float]()
     try:

@@ -232,8 +232,7 @@ def stability(
       ('stable for small errors', True)
     """
     if linearizer is None:
-        mission = make_mission(scenario)
-        mission = mission.of(checked(mission.scenario))
+        mission = scenario if isinstance(scenario, Mission) else Mission(checked(scenario))
         with Linearizer(mission) as own:
             return stability(mission, postures=postures, linearizer=own)
     (mission, _), planned = from_grasp(make_mission(scenario)), linearizer.planned
