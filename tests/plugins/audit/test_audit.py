@@ -379,7 +379,7 @@ QUICK |= {"effort sign"}
 @pytest.mark.parametrize(
     "kind",
     [
-        pytest.param(kind, marks=() if kind in QUICK else pytest.mark.slow)
+        pytest.param(kind, marks=() if kind in QUICK else pytest.mark.long)
         for kind in drawn_logs.MISTAKES
     ],
 )

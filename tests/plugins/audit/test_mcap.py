@@ -187,7 +187,7 @@ def test_poses_alone_are_differentiated(recorder):
     assert "rates of every second sample change it by" in statement(found, "momentum")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mistake_in_poses_alone_is_named(recorder):
     recorder.angles[:, [0, 1]] = recorder.angles[:, [1, 0]]
     found = recorder.poses().joints(rates=False).audit()

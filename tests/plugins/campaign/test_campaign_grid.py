@@ -82,7 +82,7 @@ def test_a_grid_takes_lists_only(tmp_path):
         load_spec(noise(tmp_path / "bad.yaml", parameters=drawn, derive={}))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_plan_shows_the_names_of_values(tmp_path):
     result = invoke("plan", short(tmp_path / "noise.yaml"))
     assert result.exit_code == 0, result.output

@@ -38,8 +38,15 @@ def test_runs_are_those_of_drake():
     check(varied([], 3))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(
+    "law",
+    [
+        pytest.param(
+            law, marks=pytest.mark.slow if law in ("tdc", "fixed_time") else pytest.mark.long
+        )
+        for law in LAWS
+    ],
+)
 def test_each_law_has_the_runs_of_drake(law):
     check(varied([f"controller={law}"], 3))
 
@@ -66,7 +73,7 @@ PARTS = {
 
 @pytest.mark.parametrize(
     "seed",
-    [pytest.param(k, marks=pytest.mark.slow if k < 2 else pytest.mark.long) for k in range(6)],
+    [pytest.param(k, marks=pytest.mark.slow if k < 1 else pytest.mark.long) for k in range(6)],
 )
 def test_drawn_scenarios_have_the_runs_of_drake(seed):
     """Of each part of the loop one variant, or none."""

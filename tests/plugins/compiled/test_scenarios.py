@@ -288,12 +288,20 @@ def test_laws_that_use_frames_have_the_runs_of_drake(name, law):
     check(of_seeds(name, ["duration=0.2", f"controller={law}"], each))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "draw",
     [
-        late_sensors, flexible_parts, captures, undriven_bases, wheels, drives, environments,
-        flexible_joints, broken_parts, approaches, grippers, measured_targets,
+        *(
+            pytest.param(draw, marks=pytest.mark.slow)
+            for draw in (
+                late_sensors, flexible_parts, captures, undriven_bases, wheels, drives,
+                environments, flexible_joints,
+            )
+        ),
+        *(
+            pytest.param(draw, marks=pytest.mark.long)
+            for draw in (broken_parts, approaches, grippers, measured_targets)
+        ),
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("seed", range(DRAWS))
@@ -348,8 +356,13 @@ def detected(random):
     return name, [*given, "faults.detection={}", *supervisor, "controller=tdc"], each
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("draw", [supervisors, detected])
+@pytest.mark.parametrize(
+    "draw",
+    [
+        pytest.param(supervisors, marks=pytest.mark.slow),
+        pytest.param(detected, marks=pytest.mark.long),
+    ],
+)
 @pytest.mark.parametrize("seed", range(DRAWS))
 def test_runs_in_which_a_part_acts_have_the_runs_of_drake(draw, seed):
     name, given, each = draw(np.random.default_rng(seed))

@@ -19,7 +19,7 @@ pytestmark = needs_llvm
             "slow_navigation", ["duration=1.5"], ("measurement_is_new",), marks=pytest.mark.slow
         ),
         pytest.param("free_floating", ["duration=0.3"], ("desired_frame",), marks=pytest.mark.slow),
-        pytest.param("tumbling_capture", ["duration=21"], (), marks=pytest.mark.slow),
+        pytest.param("tumbling_capture", ["duration=21"], (), marks=pytest.mark.long),
     ],
 )
 def test_the_samples_are_those_that_the_law_reads_on_drake(name, given, reads):

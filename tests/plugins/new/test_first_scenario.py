@@ -81,7 +81,7 @@ SLOW = ("two_armed", "seven_joints", "prismatic")
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in OUTSIDE]
+    "name", [pytest.param(name, marks=pytest.mark.long if name in SLOW else ()) for name in OUTSIDE]
 )
 def test_every_controller_settles(made, name):
     new = made(name)

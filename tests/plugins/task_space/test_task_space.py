@@ -346,8 +346,8 @@ def at_zero_momentum(scenario):
     [
         ("task_time_delay", 2.78),
         # what is predicted of them: the poles below
-        pytest.param("resolved_rate", 9.99, marks=pytest.mark.slow),
-        pytest.param("task_computed_torque", 19.99, marks=pytest.mark.slow),
+        pytest.param("resolved_rate", 9.99, marks=pytest.mark.long),
+        pytest.param("task_computed_torque", 19.99, marks=pytest.mark.long),
     ],
 )
 def test_boundary_of_stability_predicted_and_run(law, boundary):

@@ -106,7 +106,7 @@ def test_the_ramp_is_foretold(law: str, overrides: tuple[str, ...]) -> None:
     assert not foretold.is_example
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_verdict_tells_of_the_internal_force() -> None:
     plain = verdict(scenario("controller=tdc", "chain.law=plain"), rehearsal=False)
     assert any("6 poles at one" in line and "chain.law: minimal" in line for line in plain.lines)

@@ -43,7 +43,7 @@ def test_loops_are_closed_along_the_motion_with_exact_rates(drawn: Scenario) -> 
     assert not rows[[0, -1], nq:].any()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_every_pair_of_arms_settles_with_a_small_internal_force(drawn: Scenario) -> None:
     run = simulate(drawn.replace(duration=8.0, reference={"duration": 6.0}), check_stability=False)
     contacts = run.metrics["contacts"]
