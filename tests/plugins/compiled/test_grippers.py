@@ -151,8 +151,13 @@ def test_a_gripper_that_does_not_close_holds_nothing():
         kernel.cells_of(run.parameters, LaneState({"x": np.zeros(3)}))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize(
+    "variant",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name == "limp" else pytest.mark.long)
+        for name in VARIANTS
+    ],
+)
 def test_drawn_closings_have_the_force_of_drake(variant):
     for seed in range(DRAWS):
         check_closing(variant, seed)

@@ -93,16 +93,26 @@ def test_legs_have_the_bits_of_a_whole_run(called):
     check_legs("postcapture", VARIANTS["postcapture"], 0, called=called)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name == "flight_sensors" else pytest.mark.long)
+        for name in VARIANTS
+    ],
+)
 def test_drawn_legs_have_the_bits_of_a_whole_run(name):
     for seed in range(DRAWS):
         for called in (False, True):
             check_legs(name, VARIANTS[name], seed, called=called)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name == "flight_sensors" else pytest.mark.long)
+        for name in VARIANTS
+    ],
+)
 def test_a_leg_ends_with_the_measurement_and_state_of_drake(name):
     kernel, runs = compiled(name, VARIANTS[name])
     run, found = runs[1], {}
