@@ -37,7 +37,7 @@ TAKE_SCENARIOS = sorted(path for path, options in OPTIONS.items() if "overrides"
 
 @pytest.mark.smoke
 def test_every_command_has_all_three_or_none():
-    assert {("compare",), ("diagram",), ("run",), ("validate",)} <= set(TAKE_SCENARIOS)
+    assert {("compare",), ("run",), ("validate",)} <= set(TAKE_SCENARIOS)
     for path, options in OPTIONS.items():
         takes_scenario = {"scenario", "scenarios"} & set(options)
         assert (path in TAKE_SCENARIOS) == bool(takes_scenario), path

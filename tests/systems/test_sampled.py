@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from entry_points import needs
 from own_stage import Mean
 
 from ffsm_drake import BlockError, Sampled, load_scenario, make_closed_loop, simulate
@@ -110,7 +111,11 @@ def test_a_block_without_inputs_follows_time():
     ("key", "block"),
     [
         ("environment={altitude: 7.0e5, gravity_gradient: true}", "forces.environment"),
-        ("faults.events={it: {unit: joints.joint_1, kind: jammed, time: [0.0]}}", "forces.jam"),
+        pytest.param(
+            "faults.events={it: {unit: joints.joint_1, kind: jammed, time: [0.0]}}",
+            "forces.jam",
+            marks=needs("faults"),
+        ),
     ],
 )
 def test_a_payload_is_that_of_its_context(key, block):
