@@ -19,6 +19,7 @@ import numpy as np
 from ffsm_drake import load_scenario, simulate_many
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.controllers.pd_plus import PdPlus
 
@@ -49,7 +50,7 @@ def cost(scenarios: list[Scenario], engine: str, batch: int) -> float:
     """Processor time of a sample and run, microseconds."""
     samples = sum(each.num_control_periods + 1 for each in scenarios)
     start = time.process_time()
-    for _ in run_many(scenarios, engine=engine, batch=batch):
+    for _ in run_many([*map(Mission, scenarios)], engine=engine, batch=batch):
         pass
     return 1e6 * (time.process_time() - start) / samples
 

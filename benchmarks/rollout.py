@@ -29,7 +29,6 @@ coordinates cost.
 """
 
 import argparse
-import dataclasses
 import os
 import statistics
 import tempfile
@@ -53,7 +52,8 @@ from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.plant import configuration, make_plant
+from ffsm_drake.spacecraft.mission import Mission
+from ffsm_drake.spacecraft.plant import configuration, coordinates_of, make_plant
 
 try:
     import on_basilisk
@@ -83,7 +83,8 @@ class BarePlant:
         context = self.simulator.get_mutable_context()
         set_payload(plant, context, body=scenario.payload.body, properties=scenario.payload.truth)
         plant.SetPositions(
-            context, configuration(plant, scenario.initial_posture, key="initial_posture")
+            context,
+            configuration(coordinates_of(plant), scenario.initial_posture, key="initial_posture"),
         )
         force = np.full(plant.num_velocities(), 0.01)
         plant.get_applied_generalized_force_input_port().FixValue(context, force)
@@ -208,13 +209,13 @@ class AtOnce(NamedTuple):
 
 def at_once(rollout: Rollout, runs: int) -> AtOnce:
     """Every loop that takes several runs at once is a contestant here."""
-    scenario = rollout.loop.scenario
-    seeds = [dataclasses.replace(scenario, random_seed=seed) for seed in range(runs)]
+    mission = rollout.loop.mission
+    seeds = [mission.flown_by(random_seed=seed) for seed in range(runs)]
     logs = [rollout.run(seed) for seed in seeds]
     compiled = find_engine(COMPILED) if find_spec("llvmlite") else None
     noise = np.stack([sensor_noise(log) for log in logs], axis=1)
     errors = np.stack([log.error for log in logs], axis=1)
-    batch = MujocoBatch(scenario, logs[0].coordinates, runs)
+    batch = MujocoBatch(mission.scenario, logs[0].coordinates, runs)
     found = {"e": batch.run(noise)}
     contestants: dict[str, Callable[[], float]] = {
         "e": lambda: timed(lambda: batch.run(noise)) / runs,
@@ -242,7 +243,7 @@ def run_prepared(runs: Sequence[Run]) -> list[RunLog]:
 
 def compile_times(scenario: Scenario) -> list[str]:
     """What code of runs costs that is not kept yet, and code with derivatives."""
-    run, told = Run(scenario), list[str]()
+    run, told = Run(Mission(scenario)), list[str]()
     how: dict[str, Any] = {"steps": run.steps, "key": run.key_on_disk}
     with (
         tempfile.TemporaryDirectory() as folder,

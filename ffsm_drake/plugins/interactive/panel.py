@@ -31,7 +31,7 @@ from ffsm_drake.plugins.meshcat.stage import SpacecraftView, set_stage
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.plant import configuration, find_body
+from ffsm_drake.spacecraft.plant import configuration, coordinates_of, find_body
 from ffsm_drake.systems.controllers import complete_gains, controller_names
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -197,9 +197,8 @@ class _Operator:
         ).body_frame()
         self._arrow = Arrow(meshcat, "push", size=self._view.longest, color=_PUSH_COLOR)
         self._arrow_direction, self._arrow_until = np.array(_AXES["z"]), 0.0
-        self._show(
-            0.0, configuration(self._view.plant, scenario.initial_posture, key="initial_posture")
-        )
+        coordinates = coordinates_of(self._view.plant)
+        self._show(0.0, configuration(coordinates, scenario.initial_posture, key="initial_posture"))
 
         others = [name for name in controller_names() if name != scenario.controller]
         self._controllers = (scenario.controller, *others)
