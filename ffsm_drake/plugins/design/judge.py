@@ -1,7 +1,6 @@
 """The judge of missions for the core and the report."""
 
 from ffsm_drake.plugins.design.layers import layer_remarks
-from ffsm_drake.plugins.design.limit import find_limit
 from ffsm_drake.plugins.design.remarks import plan_remarks
 from ffsm_drake.plugins.design.remedy_file import write_remedy
 from ffsm_drake.plugins.design.verdict import helpful_remarks, mission, verdict
@@ -25,6 +24,8 @@ class LinearJudge(Judge):
 
     def distance(self, mission: Scenario | Mission) -> float:
         """See Judge."""
+        from ffsm_drake.plugins.design.limit import find_limit  # slow to import
+
         return find_limit(mission).distance
 
 

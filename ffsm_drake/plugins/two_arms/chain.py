@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame
-from scipy.linalg import block_diag
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.numbers import counted
@@ -190,6 +189,8 @@ class ClosedChain:
     @functools.cached_property
     def wrench_map(self) -> np.ndarray:
         """(6 loops, m): the wrench on the hand of each loop, from the multipliers of A'."""
+        from scipy.linalg import block_diag  # slow to import
+
         return block_diag(*(np.array(loop.closure.rows).T for loop in self.loops))
 
     def closed(self, q: np.ndarray, loops: Sequence[Loop] | None = None) -> np.ndarray:

@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from ffsm_drake.loop.blocks import WRENCH
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Closure
@@ -109,6 +108,8 @@ class ContactFlow(Continuous):
 
 def contact_flow(setup: BlockSetup) -> ContactFlow:
     """Return the force of the contacts that close loops. Raises the errors of ``ClosedChain``."""
+    from scipy.linalg import block_diag  # slow to import
+
     model, h = setup.craft.flexible(setup.grip), setup.sample_time
     loops = ClosedChain(model, setup.scenario, setup.grip, true=True).loops
     rows = [np.array(loop.closure.rows) for loop in loops]
