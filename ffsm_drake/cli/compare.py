@@ -77,8 +77,7 @@ def compare(
     if report:
         check_pictures(base.model)
     scenarios = [override_scenario(base, [f"controller={name}"]) for name in names]
-    mission = Mission(base)
-    missions = [mission.of(each) for each in scenarios]
+    missions = [*map(Mission(base).of, scenarios)]
     _check_starts(missions, scenario, overrides)
     warn_replaced(zip(folders, scenarios, strict=True), directory)
     before = [record_stamp(folder) for folder in folders]

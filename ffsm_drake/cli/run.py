@@ -100,12 +100,11 @@ def run(
     first = RunRecord.load(repeated) if repeated else None
     if engine is None:
         engine = DRAKE if first is None or live else first.engine.partition(" ")[0]
-    directory = out or Path("out") / (
-        f"{scenario_stem()}_again" if repeated else _stem_of(scenario)
-    )
+    stem = f"{scenario_stem()}_again" if repeated else _stem_of(scenario)
+    directory = out or Path("out") / stem
     check_saving(directory)  # before the slow run
     before = record_stamp(directory)
-    if report or meshcat or controls or foxglove:
+    if report or live:
         check_pictures(scenario.model)
     if controls:
         records = _run_with_controls(scenario, directory)
