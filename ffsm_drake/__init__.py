@@ -14,7 +14,7 @@ _HOMES = {
     "loop.closed_loop": ("ClosedLoop", "add_closed_loop", "make_closed_loop"),
     "runs.ending": ("Ending", "Outcome"),
     "runs.log": ("RunLog",),
-    "runs.phases": ("Phase",),
+    "runs.phases": ("Phase", "make_rollout"),
     "runs.record": ("RunRecord",),
     "runs.rollout": ("Rollout",),
     "runs.simulate": ("compare", "simulate", "simulate_many"),

@@ -16,7 +16,7 @@ from ffsm_drake.plugins.design.stability import stability
 from ffsm_drake.plugins.exports.export import export
 from ffsm_drake.runs.ending import Ending, Outcome
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.phases import Phase
+from ffsm_drake.runs.phases import Phase, make_rollout
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.simulate import compare, simulate, simulate_many
@@ -66,6 +66,7 @@ __all__ = [
     "load_scenario",
     "make_closed_loop",
     "make_nominal_plant",
+    "make_rollout",
     "make_true_plant",
     "override_scenario",
     "run_campaign",

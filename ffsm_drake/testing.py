@@ -25,7 +25,7 @@ from pydrake.systems.framework import System
 from ffsm_drake.common.errors import BlockError, FfsmError
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.loop.blocks import check_ports
-from ffsm_drake.runs.rollout import Rollout
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import (
     PerCoordinate,
     Posture,
@@ -147,7 +147,7 @@ def check_block(
             [f"blocks.{key}={json.dumps({'system': 'given', 'settings': dict(settings)})}"],
         )
     try:
-        rollout = Rollout(base, blocks={block: factory})
+        rollout = make_rollout(base, blocks={block: factory})
         first = rollout.run()
         for name, values in first.series.items():
             if not np.isfinite(values).all():
@@ -160,7 +160,7 @@ def check_block(
                 "a second run differs from the first: keep memory in the context, not on self",
             ),
             (
-                Rollout(base, blocks={block: factory}).run(),
+                make_rollout(base, blocks={block: factory}).run(),
                 "two closed loops differ: keep no state in module or class",
             ),
         ):

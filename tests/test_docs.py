@@ -397,6 +397,22 @@ def test_linked_names_are_in_the_files_that_they_lead_to():
         assert re.search(rf"^ *(?:def|class) {name}\b|^{name}\b.* = ", code, re.MULTILINE), name
 
 
+@pytest.mark.slow
+def test_the_steps_of_a_run_are_those_of_simulate_with_a_capture_too(tmp_path, monkeypatch):
+    """With a capture a run has several loops."""
+    block = blocks(DOCS / "how_a_run_works.md", "python")[0]
+    changed = block.replace('"postcapture", ["duration=0.5"]', '"tumbling_capture"')
+    assert changed != block
+    monkeypatch.chdir(tmp_path)
+    namespace = {}
+    exec(compile(changed, "how_a_run_works", "exec"), namespace)
+    record = simulate(load_scenario("tumbling_capture"), check_stability=False)
+    assert namespace["record"].ending.is_settled
+    assert np.array_equal(
+        namespace["record"].dataset["position"].values, record.dataset["position"].values
+    )
+
+
 def test_every_name_of_the_package_in_a_run_is_linked():
     linked = {name for name, _ in links_to_code("how_a_run_works.md")}
     for block in blocks(DOCS / "how_a_run_works.md", "python"):

@@ -21,7 +21,7 @@ from ffsm_drake.common.registrations import Registry
 from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.runs.ending import Outcome
 from ffsm_drake.runs.log import GraspLog, RunLog
-from ffsm_drake.runs.rollout import Leg, Rollout
+from ffsm_drake.runs.rollout import Leg, Rollout, has_phases
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import EMPTY, HELD, Grip, Scenario
 from ffsm_drake.scenario.contacts import closing_times
@@ -355,9 +355,16 @@ def make_rollout(
     meshcat: Meshcat | None = None,
 ) -> Any:
     """Return the rollout of a scenario: a ``Rollout``, or with a capture or later hands one with
-    the same methods. Arguments and errors: see ``Rollout``.
+    the same methods.
+
+    Arguments and errors: see ``Rollout``.
+
+    Example:
+      >>> from ffsm_drake import load_scenario, make_rollout
+      >>> rollout = make_rollout(load_scenario("tumbling_capture", ["duration=0.1"]))
+      >>> rollout.run().outcome.status
+      'completed'
     """
     mission = make_mission(scenario)
-    has_phases = mission.scenario.grasps or len(closing_times(mission.scenario)) > 1
-    kind = PhasedRollout if has_phases else Rollout
+    kind = PhasedRollout if has_phases(mission.scenario) else Rollout
     return kind(mission, blocks=blocks, meshcat=meshcat)

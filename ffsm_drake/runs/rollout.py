@@ -30,6 +30,7 @@ from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.monitor import Monitor
 from ffsm_drake.runs.signals import SIGNALS
 from ffsm_drake.scenario import HELD, Grip, Scenario, kind_of, planned_part
+from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.spacecraft.plant import add_combined_plant, cause_of
 from ffsm_drake.systems.controllers.law import ControlLaw
@@ -59,8 +60,13 @@ class Leg:
     end: Callable[[ClosedLoop, Context], None] | None = None
 
 
+def has_phases(scenario: Scenario) -> bool:
+    """Whether a run has several loops, one after another, or begins with a grasp."""
+    return scenario.grasps or len(closing_times(scenario)) > 1
+
+
 class Rollout:
-    """A closed loop that is built once and run many times.
+    """A closed loop that is built once and run many times, of a mission without phases.
 
     Every run has the same bits as a run of a new loop. A new Rollout raises the errors of
     ``add_closed_loop``.
@@ -83,7 +89,7 @@ class Rollout:
         meshcat: Meshcat | None = None,
         show: Callable[[DiagramBuilder, ClosedLoop], None] | None = None,
         joint_force: np.ndarray | None = None,
-        grip: Grip = HELD,
+        grip: Grip | None = None,
     ) -> None:
         """Build the closed loop.
 
@@ -92,16 +98,24 @@ class Rollout:
           blocks: factories that replace blocks of the scenario, see ``add_closed_loop``.
           meshcat: shows the motion.
           show: adds the scene graph and the systems that move its bodies; default: from the plant.
-          joint_force, grip: see ``add_closed_loop``.
+          joint_force: see ``add_closed_loop``.
+          grip: what holds the target; default: the gripper, in a mission without phases.
+
+        Raises ScenarioError without ``grip`` for a mission with phases, see ``make_rollout``.
         """
         start, mission = time.perf_counter(), make_mission(scenario)
+        if grip is None and has_phases(mission.scenario):
+            raise ScenarioError(
+                "capture" if mission.scenario.grasps else "contacts",
+                "this mission has phases, and a Rollout has one loop; use simulate or make_rollout",
+            )
         scenario, builder = mission.scenario, DiagramBuilder()
         plant = (
             None
             if meshcat is None or show is not None
             else add_combined_plant(builder, scenario.model, flexible=True)
         )
-        how: Any = {"joint_force": joint_force, "grip": grip}
+        how: Any = {"joint_force": joint_force, "grip": grip or HELD}
         loop = add_closed_loop(builder, mission, blocks=blocks, plant=plant, **how)
         if show is not None:
             show(builder, loop)

@@ -193,7 +193,7 @@ def _kernel_of(runs: Sequence[Run], *, alone: bool) -> Kernel:
 def _compiled(run: Run, *, alone: bool) -> Kernel:
     """Trace and compile. Raises NotCovered."""
     held_to_drake(run.blocks.tree, plant=run.case.true.plant)
-    rollout = Rollout(run.mission, blocks=run.given)
+    rollout = Rollout(run.mission, blocks=run.given, grip=run.case.nominal.grip)
     try:
         parts = rollout.loop.parts
         blocks = set(rollout.loop.blocks) - run.case.made.built
