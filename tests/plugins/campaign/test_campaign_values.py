@@ -151,7 +151,7 @@ def test_a_case_that_cannot_be_built_leaves_nothing_of_the_one_before(spec, monk
     evaluator = Evaluator(dataclasses.replace(spec, engine="drake"))
     before = evaluator.evaluate(first, "tdc")
     with monkeypatch.context() as patched:
-        patched.setattr("ffsm_drake.runs.rollout.Rollout", refuse)
+        patched.setattr("ffsm_drake.runs.phases.Rollout", refuse)
         assert evaluator.evaluate(refused, "tdc")["outcome"] == "refused"
     gc.collect()
     after = evaluator.evaluate(last, "tdc")
