@@ -361,9 +361,9 @@ def make_rollout(
 
     Example:
       >>> from ffsm_drake import load_scenario, make_rollout
-      >>> rollout = make_rollout(load_scenario("tumbling_capture", ["duration=0.1"]))
-      >>> rollout.run().outcome.status
-      'completed'
+      >>> kinds = map(make_rollout, map(load_scenario, ("postcapture", "tumbling_capture")))
+      >>> [type(kind).__name__ for kind in kinds]
+      ['Rollout', 'PhasedRollout']
     """
     mission = make_mission(scenario)
     kind = PhasedRollout if has_phases(mission.scenario) else Rollout
