@@ -181,12 +181,13 @@ class RunLog:
 
     @functools.cached_property
     def table(self) -> Table:
-        """Errors, control forces and positions, as metrics and endings read them."""
+        """Positions, velocities, errors and control forces, as metrics and endings read them."""
         scenario, coordinates = self.scenario, self.coordinates
         along, frame = ("time", "coordinate"), "frame_coordinate"
-        positions = self.series["state"][:, : len(coordinates.position_names)]
+        states, split = self.series["state"], coordinates.num_positions
         columns: dict[str, Given] = {
-            "position": (("time", "position_name"), positions),
+            "position": (("time", "position_name"), states[:, :split]),
+            "velocity": (along, states[:, split:]),
             "error": (along, self.error),
         }
         if "generalized_force" in self.series:  # a vector of environments keeps none

@@ -174,7 +174,8 @@ _HEADINGS = {
 }
 _in_table = functools.partial(Metric, key="", column="")
 # Figures of merit of every run: those with a key in ``metrics.json``, with a label in tables, with
-# a column in campaigns.
+# a column in campaigns. Their functions read the variables of ``RunLog.table``, of at least one
+# sample.
 METRICS = (
     Metric(
         key="itae", unit="1", label="ITAE", heading="ITAE",

@@ -36,6 +36,21 @@ def test_what_must_not_move(path):
     assert not changes, "\n".join([f"{len(changes)} changes in {path.name}", *changes[:20]])
 
 
+@pytest.mark.smoke
+def test_a_rewritten_part_changes_only_where_more_than_rounding_moved():
+    stored = {"a": [[1.0, 2.0], [3.0, 4.0]], "b": {"itae": 1.0, "title": "x"}, "gone": 1}
+    moved = {"a": [1e-6, 0.0], "b": {"itae": 1e-9}}
+    found = copy.deepcopy(stored) | {"new": [0.5]}
+    del found["gone"]
+    found["a"][0][1] += 1e-5  # within a hundred times what rounding moves
+    found["b"]["itae"] += 1e-8
+    kept = golden.as_stored(found, stored, moved)
+    assert kept == {"a": stored["a"], "b": stored["b"], "new": [0.5]}
+    found["a"][1][0] += 1e-5
+    found["b"] = {"itae": 1.1, "title": "y"}
+    assert golden.as_stored(found, stored, moved) == found
+
+
 # One scenario of each kind: a plain run, pulses, hands whose force has no inertia to smooth it.
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["postcapture", "thrusters_only", "two_arms"])

@@ -152,3 +152,11 @@ def test_every_effort_in_the_table_has_its_unit(units):
             largest = np.abs(effort[:, own]).max() if own else None
             assert shown.pop(f"{whose}, {what}") == largest
     assert not shown
+
+
+def test_the_variables_that_metrics_read_are_those_of_the_record():
+    """Campaigns make no record."""
+    log = make_rollout(load_scenario("postcapture", ["duration=0.1"])).run()
+    record = make_table(log)
+    for name in ("position", "velocity", "error", "generalized_force"):
+        np.testing.assert_array_equal(log.table[name].values, record[name].values)
