@@ -11,7 +11,7 @@ import numpy as np
 from ffsm_drake.common.errors import LimitError
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
-from ffsm_drake.plugins.capture.phases.own import with_phases
+from ffsm_drake.plugins.capture.phases.own import phases_before, with_phases
 from ffsm_drake.runs.limits import not_measured
 from ffsm_drake.scenario import EMPTY, Posture, Scenario
 from ffsm_drake.scenario.capture import Approach
@@ -147,6 +147,7 @@ class Backwards(PlannedMotion):
 def planned_approach(mission: Mission) -> PlannedMotion:
     """The motion of a mission up to the grasp; errors as ``approach_posture``, ``with_phases``."""
     scenario, model = mission.scenario, mission.craft.nominal()
+    phases_before(mission)  # before a search for a start, which takes longer
     contact, posture = planned_contact(mission, model), approach_posture(mission)
     motion = approach_motion(scenario, model, contact, posture)
     approach = Backwards(motion, sample_time=scenario.sample_time)

@@ -286,6 +286,13 @@ def test_lists_of_phases_that_cannot_be(given, words):
     assert len(str(found.value)) < 160
 
 
+def test_a_hold_gives_the_start_of_the_approach():
+    """The place of a start that was searched for would not be used."""
+    clear = listed("[hold, approach, stop]", "duration=40", "capture.approach.start=clear")
+    with pytest.raises(ScenarioError, match=r"start: must be given, because .* phases\.hold ends"):
+        motion_of(clear)
+
+
 def test_phases_need_an_approach():
     with pytest.raises(ScenarioError, match="phases: needs an approach"):
         load_scenario("postcapture", ["phases=[approach, stop]"])

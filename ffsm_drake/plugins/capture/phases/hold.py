@@ -8,7 +8,6 @@ from scipy.interpolate import CubicSpline
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.settings import setting
 from ffsm_drake.common.so3 import matrix_of
-from ffsm_drake.plugins.capture.approach import approach_posture
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
 from ffsm_drake.runs.phases import Phase
 from ffsm_drake.scenario.resolving import build_settings
@@ -44,6 +43,7 @@ class Hold(PlannedMotion):
     def __init__(self, mission: Mission, settings: Settings, *, begin: float, end: float) -> None:
         """Args: begin and end in the run, s."""
         scenario, model = mission.scenario, mission.craft.nominal()
+        assert scenario.approach is not None
         coordinates, period = model.coordinates, scenario.sample_time
         X_WP, path = target_path(scenario, model, planned_contact(mission, model))
         grasp, arm = scenario.initial_posture, np.array(scenario.payload.truth.center_of_mass)
@@ -51,7 +51,7 @@ class Hold(PlannedMotion):
         away = np.array(settings.direction) if settings.direction else place - center
         place = place + settings.distance * away / np.linalg.norm(away)
         posture = dataclasses.replace(
-            approach_posture(mission), base_position=place.tolist(), base_rpy=grasp.base_rpy
+            scenario.approach.posture, base_position=place.tolist(), base_rpy=grasp.base_rpy
         )
         self._q = configuration(model.coordinates, posture, key="capture.approach.posture")
         self._begin = begin

@@ -56,6 +56,9 @@ def phases_before(mission: Mission) -> dict[str, Phase]:
                 raise BlockError(f"{key}: its {field.name} follows from its place; leave that out")
         if "reference" in phase.blocks:
             raise BlockError(f"{key}: give its motion in place of a block 'reference'")
+        if phase.joins and scenario.approach is not None and scenario.approach.start == "clear":
+            problem = f"must be given, because the approach begins where {key} ends"
+            raise ScenarioError("capture.approach.start", problem)
         found[name] = phase
     return found
 
