@@ -130,7 +130,7 @@ class RunRecord:
     @functools.cached_property
     def mission(self) -> Mission:
         """The scenario with its spacecraft. Raises ModelError: the model does not load any more."""
-        return self.flown or Mission(self.scenario)
+        return Mission(self.scenario) if self.flown is None else self.flown.of(self.scenario)
 
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:

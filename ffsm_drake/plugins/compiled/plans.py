@@ -93,7 +93,7 @@ class Plans:
             modes = np.ravel(supervisor.block.modes(np.array([time]), memory["plan"]))
             own["phases"][: rows["phases"].shape[1]][-modes.size :] = modes
         elif "planned" in rows:
-            nq = len(supervisor.coordinates.position_names)
+            nq = supervisor.mission.craft.coordinates.num_positions
             after["planned"][:1] = rows_of(self._laws[lane], measured[None, :nq])
 
     def _follow(
@@ -107,5 +107,5 @@ class Plans:
         modes = np.transpose(block.modes(plan[0] + step * since, plan))
         rows["phases"][:, -modes.shape[1] :] = modes
         if "planned" in rows:
-            nq = len(supervisor.coordinates.position_names)
+            nq = supervisor.mission.craft.coordinates.num_positions
             rows["planned"][:] = rows_of(law, rows["reference"][:, :nq])

@@ -16,6 +16,7 @@ from ffsm_drake.plugins.campaign.prediction import predict_many
 from ffsm_drake.plugins.campaign.run import repeat_run, resume_campaign, start_campaign
 from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_data, why_not_compiled
 from ffsm_drake.plugins.campaign.store import create_store, open_store
+from ffsm_drake.spacecraft.mission import make_mission
 
 needs_compiled = pytest.mark.skipif(bool(why_not_compiled()), reason=why_not_compiled())
 NUMBERS = ("itae", "isv", "peak_effort_joints", "outcome_time", "predicted_radius_starting")
@@ -189,6 +190,7 @@ def test_predictions_of_controllers_that_share_a_case_are_those_of_each_alone(se
         laws = random.permutation(["tdc", "asmc", "aismc", "tde_aismc", "super_twisting"])[:3]
         scenarios += [with_controller(case, law) for law in laws.tolist()]
     random.shuffle(scenarios)
-    for scenario, found in zip(scenarios, predict_many(scenarios), strict=True):
-        (alone,) = predict_many([scenario])
+    together = predict_many([make_mission(each) for each in scenarios])
+    for scenario, found in zip(scenarios, together, strict=True):
+        (alone,) = predict_many([make_mission(scenario)])
         assert repr(found) == repr(alone)
