@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from random_missions import Mission, Rng, Settings
+from random_missions import DrawnMission, Rng, Settings
 
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.design.stability.planned_dynamics import make_demand
 from ffsm_drake.scenario import load_scenario
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import complete_gains
 
 FOLDER = Path("out/built")  # of the URDFs
@@ -24,7 +24,7 @@ LAWS = ("tdc", "aismc", "asmc", "tde_aismc", "computed_torque")
 GROUPS = ("base_rotation", "base_position", "joints")
 
 
-def draw(rng: Rng) -> Mission:
+def draw(rng: Rng) -> DrawnMission:
     """A mission; ``load_scenario`` may refuse it."""
     text, names, bus_mass = _urdf(rng)
     path = FOLDER / f"{zlib.crc32(text.encode()):08x}.urdf"
@@ -51,7 +51,7 @@ def draw(rng: Rng) -> Mission:
     settings |= _law(rng, base)
     settings |= _sensors(rng, base)
     settings |= _actuators(rng, base, settings)
-    return Mission(base=base, overrides=[f"{k}={json.dumps(v)}" for k, v in settings.items()])
+    return DrawnMission(base=base, overrides=[f"{k}={json.dumps(v)}" for k, v in settings.items()])
 
 
 def _urdf(rng: Rng) -> tuple[str, list[str], float]:

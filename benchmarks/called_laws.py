@@ -17,9 +17,9 @@ import warnings
 import numpy as np
 
 from ffsm_drake import load_scenario, simulate_many
+from ffsm_drake.mission import Mission
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.controllers.pd_plus import PdPlus
 

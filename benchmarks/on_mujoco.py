@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 
 from ffsm_drake.common.so3 import rotation_error_rate
+from ffsm_drake.mission import make_mission
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, position_errors
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import gain_vectors
 from ffsm_drake.systems.reference import make_motion
 

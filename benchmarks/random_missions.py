@@ -31,14 +31,14 @@ Settings = dict[str, Any]  # dotted key -> plain data
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Mission:
+class DrawnMission:
     """A shipped scenario with overrides."""
 
     base: str
     overrides: list[str]
 
 
-def draw(kind: str, rng: Rng) -> Mission:
+def draw(kind: str, rng: Rng) -> DrawnMission:
     """A mission of all that there is ("mission"), or a capture within flight limits ("capture").
 
     Not every mission can be built: the scenario's own checks tell.
@@ -46,7 +46,7 @@ def draw(kind: str, rng: Rng) -> Mission:
     return _draw_capture_set(rng) if kind == "capture" else _draw_mission(rng)
 
 
-def _draw_capture_set(rng: Rng) -> Mission:
+def _draw_capture_set(rng: Rng) -> DrawnMission:
     """A tumbling target, of wrong mass and off its centre, met with wrong navigation."""
     settings = {
         **_draw_target(rng, ratios=(0.5, 1.0, 2.0)),
@@ -57,10 +57,10 @@ def _draw_capture_set(rng: Rng) -> Mission:
         "random_seed": int(rng.integers(1000)),
     }
     settings["capture.approach.duration"] = 20.0
-    return Mission(base="tumbling_capture", overrides=_overrides(settings))
+    return DrawnMission(base="tumbling_capture", overrides=_overrides(settings))
 
 
-def _draw_mission(rng: Rng) -> Mission:
+def _draw_mission(rng: Rng) -> DrawnMission:
     names = (*shipped_scenarios(), "plain")
     base = str(rng.choice(names))
     fixed: Sequence[str] = ()
@@ -81,7 +81,7 @@ def _draw_mission(rng: Rng) -> Mission:
     ):
         if rng.random() < chance:
             settings |= section(rng, scenario)
-    return Mission(base=base, overrides=[*fixed, *_overrides(settings)])
+    return DrawnMission(base=base, overrides=[*fixed, *_overrides(settings)])
 
 
 def _draw_legs(rng: Rng, scenario: Scenario) -> Settings:

@@ -43,6 +43,7 @@ import numpy as np
 from on_mujoco import Arm, MujocoBatch, MujocoLoop
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.compiled.engine import results_of
 from ffsm_drake.plugins.compiled.kernel import Kernel, Step
 from ffsm_drake.plugins.compiled.run import Run
@@ -52,7 +53,6 @@ from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import Scenario, load_scenario
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.plant import configuration, coordinates_of, make_plant
 
 try:

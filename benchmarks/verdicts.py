@@ -30,22 +30,22 @@ from typing import Any
 import built_missions
 import numpy as np
 import random_missions
-from random_missions import Mission
+from random_missions import DrawnMission
 
 from ffsm_drake import RunLog, Scenario, load_scenario
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.files import write_text
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.design.remarks import plan_remarks
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.plugins.workers.pool import Runs, WorkerLost, local_workers, stop_on_signals
 from ffsm_drake.runs.dataset import make_table
-from ffsm_drake.runs.limits import broken_limits
+from ffsm_drake.runs.exceeded_limits import broken_limits
 from ffsm_drake.runs.simulate import prepare
-from ffsm_drake.spacecraft.mission import make_mission
 
 GOOD, WARNED, UNKNOWN = "no alarm", "alarm", "cannot say"
-KINDS: dict[str, Callable[[np.random.Generator], Mission]] = {
+KINDS: dict[str, Callable[[np.random.Generator], DrawnMission]] = {
     "mission": functools.partial(random_missions.draw, "mission"),
     "capture": functools.partial(random_missions.draw, "capture"),
     "built": built_missions.draw,
@@ -209,7 +209,7 @@ def fly(scenario: Scenario) -> End:
         rollout.release()
 
 
-def drawn(kind: str, number: int, seed: int) -> tuple[Mission, Scenario, list[str]]:
+def drawn(kind: str, number: int, seed: int) -> tuple[DrawnMission, Scenario, list[str]]:
     """The mission of a number, its scenario, and the errors of those drawn before it."""
     rng = np.random.default_rng([seed, number, list(KINDS).index(kind)])
     refused = list[str]()

@@ -17,11 +17,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import ffsm_drake
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.task_space.free_motion import FreeMotion
 from ffsm_drake.show.figures.axes import STYLE
 from ffsm_drake.show.style import BLUE, VERMILION
 from ffsm_drake.spacecraft.coordinates import position_errors
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.frame_path import goal_frame, make_frame_path
 from ffsm_drake.systems.reference import make_motion
 

@@ -25,6 +25,7 @@ from pydrake.systems.framework import System
 from ffsm_drake.common.errors import BlockError, FfsmError
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.loop.blocks import check_ports
+from ffsm_drake.mission import Mission
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import (
     PerCoordinate,
@@ -37,7 +38,6 @@ from ffsm_drake.scenario import (
     scenario_to_dict,
 )
 from ffsm_drake.spacecraft.craft import Craft
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import make_controller
 from ffsm_drake.systems.frame_path import goal_frame
 from ffsm_drake.systems.reference import make_motion

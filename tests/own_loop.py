@@ -7,8 +7,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from ffsm_drake import make_nominal_plant, make_true_plant
+from ffsm_drake.mission import make_mission
 from ffsm_drake.spacecraft.coordinates import tracking_errors
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import Sample, make_law
 
 # of postcapture: the nominal payload as the true one, and a posture

@@ -188,7 +188,7 @@ def test_tests_heed_signals_in_the_background():
     """In xdist's workers too, started as nohup and shells start what runs behind."""
     tests = ("test_children.py::test_no_child_ignores_a_signal",
              "common/test_interrupts.py::test_handlers_are_as_before_afterwards",
-             "runs/test_blame.py::test_ctrl_c_ends_a_step_that_never_returns")  # fmt: skip
+             "runs/test_failed_block.py::test_ctrl_c_ends_a_step_that_never_returns")  # fmt: skip
     command = [sys.executable, "-m", "pytest", "-q", "-n", "1", "-p", "no:cacheprovider"]
     command += [str(TESTS / name) for name in tests]
     trap = ["sh", "-c", 'trap "" INT HUP QUIT; exec "$@"', "sh"]

@@ -31,6 +31,7 @@ from ffsm_drake import FfsmError, simulate
 from ffsm_drake.cli import main
 from ffsm_drake.common.registrations import own_plugins
 from ffsm_drake.loop.blocks import BLOCKS
+from ffsm_drake.mission import make_mission
 from ffsm_drake.scenario import (
     Scenario,
     load_scenario,
@@ -40,7 +41,6 @@ from ffsm_drake.scenario import (
     shipped_scenarios,
 )
 from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import ControlLaw, InjectedDynamics, controller_names
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import shipped_names

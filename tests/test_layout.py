@@ -17,6 +17,7 @@ ROOMS = (
     "common",
     "scenario",
     "spacecraft",
+    "mission",
     "systems",
     "loop",
     "runs",

@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 
 import ffsm_drake
 from ffsm_drake import load_scenario
+from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.spacecraft.plant import add_combined_plant, configuration, coordinates_of
 from ffsm_drake.systems.controllers import PAPER_LAWS
 from ffsm_drake.systems.reference import make_motion

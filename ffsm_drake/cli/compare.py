@@ -26,8 +26,8 @@ from ffsm_drake.cli.simulating import (
 )
 
 if TYPE_CHECKING:
+    from ffsm_drake.mission import Mission
     from ffsm_drake.runs.record import RunRecord
-    from ffsm_drake.spacecraft.mission import Mission
 
 
 @click.command()
@@ -61,9 +61,9 @@ def compare(
     """
     from ffsm_drake.cli.finishing import finish
     from ffsm_drake.common.files import check_writable
+    from ffsm_drake.mission import Mission
     from ffsm_drake.runs.record import check_saving, record_stamp
     from ffsm_drake.scenario import controller_key, load_scenario, override_scenario
-    from ffsm_drake.spacecraft.mission import Mission
     from ffsm_drake.spacecraft.plant import check_pictures
     from ffsm_drake.systems.controllers import PAPER_LAWS
 

@@ -19,7 +19,7 @@ from ffsm_drake.cli.common import (
     print_json,
 )
 from ffsm_drake.common.errors import spared
-from ffsm_drake.runs import limits
+from ffsm_drake.runs import exceeded_limits
 from ffsm_drake.runs.judge import JUDGES
 from ffsm_drake.runs.reading import REPORT_FILE
 from ffsm_drake.runs.record import RunRecord
@@ -79,7 +79,7 @@ def _print_remarks(records: Sequence[RunRecord], trying: Trying) -> None:
     for record in records:
         with trying("remarks"):
             advice = judge.advice(record) if (judge := JUDGES.first()) else ()
-            for remark in (*limits.run_remarks(record), *advice):
+            for remark in (*exceeded_limits.run_remarks(record), *advice):
                 said.setdefault(remark, []).append(record.scenario.controller)
     for remark, names in said.items():
         click.echo(f"warning: {', '.join(dict.fromkeys(names))}: {remark}", err=True)
@@ -96,7 +96,7 @@ def _print_remedy(record: RunRecord, directory: Path, trying: Trying) -> None:
                 err=True,
             )
     with trying("closest approach"):
-        for closest in limits.run_clearance(record):
+        for closest in exceeded_limits.run_clearance(record):
             click.echo(f"{controller}: closest approach: {closest}", err=True)
 
 
@@ -123,7 +123,7 @@ def _conclude(
 ) -> bool:
     """Print how a run ended. Return whether it failed, or did not settle as ``require`` says."""
     with trying("conclusion"):
-        beyond = limits.broken_limits(record.mission, record.dataset)
+        beyond = exceeded_limits.broken_limits(record.mission, record.dataset)
         name = f"{record.scenario.controller}: " if is_named else ""
         end = f" Not as planned: {'; '.join(beyond)}." if beyond else ""
         click.echo(f"{name}{record.ending.sentence}{end}", err=as_json)

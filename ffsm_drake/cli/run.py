@@ -89,9 +89,9 @@ def run(
       ffsm run --set disturbance.amplitude_scale=3 --set controllers.tde_aismc.k_s_max=90
     """
     from ffsm_drake.cli.finishing import finish
+    from ffsm_drake.mission import Mission
     from ffsm_drake.runs.engine import DRAKE
     from ffsm_drake.runs.record import RunRecord, check_saving, record_stamp
-    from ffsm_drake.spacecraft.mission import Mission
     from ffsm_drake.spacecraft.plant import check_pictures
 
     if (live := meshcat or foxglove or controls) and engine not in (None, DRAKE):

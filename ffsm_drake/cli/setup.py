@@ -84,7 +84,7 @@ def validate(
     """
     from ffsm_drake.common.errors import FfsmError
     from ffsm_drake.common.numbers import counted
-    from ffsm_drake.runs.limits import Closest
+    from ffsm_drake.runs.exceeded_limits import Closest
     from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 
     results: dict[str, dict[str, Any]] = {}

@@ -12,9 +12,9 @@ from ffsm_drake.cli.progress import ProgressLine
 from ffsm_drake.common.interrupts import writing
 
 if TYPE_CHECKING:
+    from ffsm_drake.mission import Mission
     from ffsm_drake.runs.record import RunRecord
     from ffsm_drake.scenario import Scenario
-    from ffsm_drake.spacecraft.mission import Mission
 
 run_folder_option = out_option(
     help="Default: out/NAME of the scenario, with the controller's name added if it is not the "

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from types import FrameType
 
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 GRACE = 7.0  # s for what a first signal ends, after which the signal is repeated
 _AT_ONCE = 2.0  # s for the end after a second one
 _SAME = 0.2  # s within which it is the same signal, sent on by a wrapper such as ``timeout``
@@ -103,7 +103,7 @@ class Interrupts:
     def watch(self) -> None:
         """Start the watcher, while this process has one thread; it ends with this process."""
         reading, writing = os.pipe()
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
         try:
             watcher = os.fork()
         except OSError:  # no more processes are allowed
@@ -203,9 +203,9 @@ class _Watcher:
     def _count(self, number: int) -> None:
         """A signal of the first process."""
         now = time.monotonic()
-        if number in SIGNALS and not self._number:
+        if number in ENDING_SIGNALS and not self._number:
             self._number, self._begun, self._end = number, now, now + GRACE
-        elif number in SIGNALS and not self._repeated and now > self._begun + _SAME:
+        elif number in ENDING_SIGNALS and not self._repeated and now > self._begun + _SAME:
             self._said, self._repeated, self._end = True, True, now + _AT_ONCE
 
     def _obey(self, kind: bytes, text: str) -> None:
@@ -235,7 +235,7 @@ def _say(line: str) -> None:
 def handle_signals() -> Interrupts:
     """End this process on these signals as described above; ignored ones stay ignored."""
     interrupts = Interrupts()
-    for number in SIGNALS:
+    for number in ENDING_SIGNALS:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, interrupts)
     return interrupts
@@ -243,7 +243,7 @@ def handle_signals() -> Interrupts:
 
 def end_at_once() -> None:
     """Let these signals end this process, whose work is done, without a word."""
-    for number in SIGNALS:
+    for number in ENDING_SIGNALS:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, signal.SIG_DFL)
 
@@ -254,7 +254,7 @@ def current() -> Interrupts:
 
 
 def _installed() -> Interrupts | None:
-    for number in SIGNALS:
+    for number in ENDING_SIGNALS:
         if isinstance(handler := signal.getsignal(number), Interrupts):
             return handler
     return None
@@ -337,7 +337,7 @@ def stopping(stop: "Callable[[], None]") -> "Iterator[None]":
     interrupts, before = _installed(), {}
     if interrupts is None:
         interrupts = _Lent()
-        heard = [number for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
+        heard = [number for number in ENDING_SIGNALS if signal.getsignal(number) != signal.SIG_IGN]
         before = {number: signal.signal(number, interrupts) for number in heard}
     interrupts.stop = stop
     try:

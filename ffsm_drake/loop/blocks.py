@@ -19,14 +19,14 @@ from pydrake.systems.framework import System
 from ffsm_drake.common.errors import BlockError, ScenarioError, choices
 from ffsm_drake.common.guard import calling
 from ffsm_drake.common.settings import require_valid
+from ffsm_drake.mission import Mission
 from ffsm_drake.scenario import Block, Scenario, build_settings, kind_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import resolve_package
 from ffsm_drake.systems.continuous import Continuous, InstantSystem
 from ffsm_drake.systems.controllers import make_controller
-from ffsm_drake.systems.controllers.sampled import SIGNALS
+from ffsm_drake.systems.controllers.sampled import LAW_SIGNALS
 from ffsm_drake.systems.faults import settle_faults
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.parts.part import Part
@@ -101,7 +101,9 @@ BLOCKS: dict[str, Ports] = {
             "restart": NUMBER,  # 1: this sample is a first one, regardless of earlier samples
         },
         outputs={"generalized_force": VELOCITY},
-        optional_outputs={each.name: VELOCITY if each.dimension else NUMBER for each in SIGNALS},
+        optional_outputs={
+            each.name: VELOCITY if each.dimension else NUMBER for each in LAW_SIGNALS
+        },
         held=True,
     ),
     # Between the reference and the controller, and between that and the actuators.

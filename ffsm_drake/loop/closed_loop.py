@@ -40,9 +40,9 @@ from ffsm_drake.loop.blocks import (
     WRENCH,
     make_blocks,
 )
+from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario, kind_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
-from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers.sampled import SampledController
@@ -56,7 +56,7 @@ from ffsm_drake.systems.start import state_at_start
 # Signals of every closed loop. Further signals: the controller's OPTIONAL_OUTPUTS, the actuators'
 # outputs, "hidden_state" with hidden coordinates, and "force_<name>" for each of several external
 # forces.
-SIGNALS = (
+LOOP_SIGNALS = (
     "state",
     "estimated_state",
     "measurement",
@@ -124,7 +124,7 @@ class ClosedLoop:
         return bool(self.blocks["controller"].HasInputPort("desired_frame"))
 
     def output_port(self, signal: str) -> OutputPort:
-        """Return the port of a signal of SIGNALS; ``disturbance_force`` sums the external
+        """Return the port of a signal of LOOP_SIGNALS; ``disturbance_force`` sums the external
         forces.
         """
         system, name = self.sources[signal]

@@ -5,12 +5,12 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.mission import Mission
 from ffsm_drake.runs.engine import DRAKE, Engine, find_engine, on_drake
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.runs.rollout import user_supplied
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.mission import Mission
 
 _FAILURES = (Exception, SystemExit)  # Drake's refusals may be the latter
 _FEWEST = 4

@@ -12,7 +12,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.numbers import usable
 from ffsm_drake.runs.log import GraspLog, RunLog
-from ffsm_drake.runs.signals import SIGNALS
+from ffsm_drake.runs.recorded_signals import RECORDED_SIGNALS
 from ffsm_drake.runs.table import Table
 from ffsm_drake.runs.tracking import frame_poses
 from ffsm_drake.scenario import NOTHING, Scenario
@@ -34,7 +34,7 @@ def make_table(log: RunLog) -> Table:
     model = log.mission.craft.flexible()
     states = log.whole_states
     values = _values(log, model, states)
-    signals = {name: signal for name, signal in SIGNALS.items() if name in values}
+    signals = {name: signal for name, signal in RECORDED_SIGNALS.items() if name in values}
     if (sliding := signals.get("sliding_variable")) is not None:
         signals["sliding_variable"] = dataclasses.replace(sliding, unit=log.sliding_unit)
     for name in values:
@@ -57,8 +57,8 @@ def make_table(log: RunLog) -> Table:
 
 
 def _values(log: RunLog, model: PlantModel, states: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the variables of ``SIGNALS`` that a run has, and each external force where several
-    act.
+    """Return the variables of ``RECORDED_SIGNALS`` that a run has, and each external force where
+    several act.
 
     Args:
       log: the run.
@@ -66,10 +66,12 @@ def _values(log: RunLog, model: PlantModel, states: np.ndarray) -> dict[str, np.
       states: its [q; v] at the samples (n, its size).
     """
     scenario, series = log.scenario, log.series
-    found = {name: np.asarray(each.of(log)) for name, each in SIGNALS.items() if each.of}
+    found = {name: np.asarray(each.of(log)) for name, each in RECORDED_SIGNALS.items() if each.of}
     rates = map(error_rate, log.error, found["desired_velocity"], found["velocity"])
     found |= {"error": log.error, "error_rate": np.array(list(rates))}
-    own = {name: series[name] for name in series if name in SIGNALS or name[:6] == "force_"}
+    own = {
+        name: series[name] for name in series if name in RECORDED_SIGNALS or name[:6] == "force_"
+    }
     if SMALLEST in own:
         own[SMALLEST] = own[SMALLEST][:, 0]
     if log.grasp is None:

@@ -5,8 +5,8 @@ from typing import Any
 
 from ffsm_drake.common.errors import FfsmError, choices
 from ffsm_drake.common.registrations import Registry
+from ffsm_drake.mission import Mission
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.registry import Factory
 
 DRAKE = "drake"

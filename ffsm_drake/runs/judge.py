@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from ffsm_drake.common.registrations import Registry
+from ffsm_drake.mission import Mission
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Override, Scenario
-from ffsm_drake.spacecraft.mission import Mission
 
 
 class Judge(Protocol):

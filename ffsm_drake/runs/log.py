@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.mission import Mission
 from ffsm_drake.runs.ending import Ending, Outcome, ending_of
 from ffsm_drake.runs.engine import DRAKE
 from ffsm_drake.runs.metrics import tracking_metrics
@@ -22,7 +23,6 @@ from ffsm_drake.runs.tracking import (
 from ffsm_drake.scenario import MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, position_errors
 from ffsm_drake.spacecraft.grasp import Contact
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.frame_path import goal_frame, tracked_rows
@@ -61,9 +61,9 @@ class GraspLog:
 class RunLog:
     """The time series of one run of a ``Rollout``. A ``RunRecord`` has more derived quantities.
 
-    ``series`` has arrays (n, width) by name: ``closed_loop.SIGNALS`` without ``estimated_state``,
-    the optional outputs of the controller and, with flexible parts, ``hidden_state``. Control
-    sample k used or produced the values at row k.
+    ``series`` has arrays (n, width) by name: ``closed_loop.LOOP_SIGNALS`` without
+    ``estimated_state``, the optional outputs of the controller and, with flexible parts,
+    ``hidden_state``. Control sample k used or produced the values at row k.
 
     Example:
       >>> from ffsm_drake import Rollout, load_scenario

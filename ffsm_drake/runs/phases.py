@@ -19,13 +19,13 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.registrations import Registry
 from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.runs.ending import Outcome
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout, has_phases
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import EMPTY, HELD, Grip, Scenario
 from ffsm_drake.scenario.contacts import closing_times
-from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import AlongMotion
 from ffsm_drake.systems.registry import Factory

@@ -21,7 +21,7 @@ from ffsm_drake.loop.blocks import BLOCKS
 from ffsm_drake.runs.ending import COMPLETED, NOT_CAPTURED, OUTCOMES, Outcome
 from ffsm_drake.runs.engine import DRAKE
 from ffsm_drake.runs.input_copies import INPUT_COPIES
-from ffsm_drake.runs.signals import SIGNALS
+from ffsm_drake.runs.recorded_signals import RECORDED_SIGNALS
 from ffsm_drake.runs.table import coordinate_columns
 from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, scenario_from_dict
@@ -48,7 +48,7 @@ _MAX_TEXT = 10_000_000  # bytes, of manifest and metrics
 _MAX_RECORD = 100_000_000_000  # bytes
 _MAX_PER_SAMPLE = 100_000  # bytes, unpacked
 _COORDINATES = ("time", "coordinate", "position_name", "axis", "group", "unit")
-_REQUIRED = [name for name in SIGNALS if name not in BLOCKS["controller"].optional_outputs]
+_REQUIRED = [name for name in RECORDED_SIGNALS if name not in BLOCKS["controller"].optional_outputs]
 # Variables that are finite in a run up to its end or the grasp, except outputs of user-supplied
 # sensors.
 _FINITE = [name for name in _REQUIRED if not name.startswith("measured")]
@@ -242,7 +242,7 @@ def _of_columns(dataset: "xr.Dataset") -> Iterator[str]:
             yield f"lacks the attribute {name}"
         if problem := misfit(np.asarray(dataset.attrs[name])[()], shape, name):
             yield f"the attribute {problem}"
-    for name, signal in SIGNALS.items():
+    for name, signal in RECORDED_SIGNALS.items():
         dims, known = signal.dims, name in dataset.data_vars
         if known and (dataset[name].dims != dims or dataset[name].dtype.kind not in "fiu"):
             yield f"{name} must hold numbers along {', '.join(dims)}"

@@ -15,6 +15,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import RecordError, one_line, spared
 from ffsm_drake.common.files import check_writable, published, stamp
+from ffsm_drake.mission import Mission
 from ffsm_drake.runs.ending import NOT_SETTLED, Ending, Outcome, ending_of
 from ffsm_drake.runs.engine import DRAKE
 from ffsm_drake.runs.input_copies import INPUT_COPIES
@@ -34,7 +35,6 @@ from ffsm_drake.runs.reading import (
 from ffsm_drake.runs.table import Table, Values
 from ffsm_drake.scenario import MANIFEST_FILE, Scenario, portable_scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.parts.metrics import Figure, nested
 from ffsm_drake.systems.parts.record import PartRecord
 

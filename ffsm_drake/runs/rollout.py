@@ -24,14 +24,14 @@ from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.loop.closed_loop import ClosedLoop, add_closed_loop, build_closed_loop
-from ffsm_drake.runs.blame import bad_output, failure_of, unconnected
+from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, Outcome
+from ffsm_drake.runs.failed_block import bad_output, failure_of, unconnected
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.monitor import Monitor
-from ffsm_drake.runs.signals import SIGNALS
+from ffsm_drake.runs.recorded_signals import RECORDED_SIGNALS
 from ffsm_drake.scenario import HELD, Grip, Scenario, kind_of, planned_part
 from ffsm_drake.scenario.contacts import closing_times
-from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.spacecraft.plant import add_combined_plant, cause_of
 from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.parts.placed import signals_of
@@ -39,7 +39,7 @@ from ffsm_drake.systems.registry import Factory, is_shipped, name_of
 
 # A logger records the state before the update at its instant: at t_k it has these signals of sample
 # k - 1.
-_HELD = ("measurement", *(each.name for each in SIGNALS.values() if each.held))
+_HELD = ("measurement", *(each.name for each in RECORDED_SIGNALS.values() if each.held))
 _STOP = 0.25  # s between the instants at which a run is ended that diverges or is interrupted
 # Fields that can change without a new build, like the payload's true mass properties.
 _OF_THE_CONTEXT = ("description", "random_seed", "duration", "divergence_speed", "initial_velocity")

@@ -16,6 +16,7 @@ from ffsm_drake.common.settings import settings_of
 from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import block_sources
 from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.mission import Mission
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.engine import DRAKE, Engine, NotCovered, find_engine, on_drake
@@ -25,7 +26,6 @@ from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.runs.record import RunRecord, software_versions
 from ffsm_drake.runs.rollout import user_supplied
 from ffsm_drake.scenario import Block, Scenario, as_dict, checked
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 from ffsm_drake.systems.grasping import GRASPINGS
 from ffsm_drake.systems.parts.part import Part

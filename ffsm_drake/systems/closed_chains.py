@@ -6,8 +6,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from ffsm_drake.common.registrations import Registry
+from ffsm_drake.mission import Mission
 from ffsm_drake.scenario import Grip, Scenario
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.setup import BlockSetup
 

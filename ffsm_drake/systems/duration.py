@@ -9,10 +9,10 @@ import numpy as np
 
 from ffsm_drake.common.errors import LimitError, ScenarioError
 from ffsm_drake.common.numbers import number
+from ffsm_drake.mission import Mission
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, Limit, tightest
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.systems.limits import limits_of
+from ffsm_drake.systems.mission_limits import limits_of
 
 if TYPE_CHECKING:
     from ffsm_drake.systems.planned_motion import PlannedMotion

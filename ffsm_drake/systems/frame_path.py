@@ -11,9 +11,9 @@ from pydrake.multibody.tree import Frame
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.so3 import rotation_error
+from ffsm_drake.mission import Mission
 from ffsm_drake.scenario import FrameGoal, Scenario
 from ffsm_drake.spacecraft.free_floating import TASK_ROWS
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_frame, hand_frame
 from ffsm_drake.systems.blend import Blend

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Protocol
 
 from ffsm_drake.common.registrations import Registry
+from ffsm_drake.mission import Mission
 from ffsm_drake.spacecraft.grasp import Contact
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.planned_motion import PlannedMotion
 

@@ -21,8 +21,8 @@ from typing import Protocol
 import numpy as np
 
 from ffsm_drake.common.registrations import Registry
+from ffsm_drake.mission import Mission, planned
 from ffsm_drake.scenario import WHOLE, Grip, Scenario
-from ffsm_drake.spacecraft.mission import Mission, planned
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.continuous import Continuous
@@ -39,7 +39,7 @@ from ffsm_drake.systems.setup import BlockSetup
 from ffsm_drake.systems.start import velocity_at_start
 
 # Variables of the record.
-SIGNALS = (
+REFERENCE_SIGNALS = (
     *state_signals("desired_state", "desired_", "reference q_d", "reference v_d"),
     Signal(
         name="desired_acceleration", unit=f"{UNIT} per s^2", meaning="reference acceleration",

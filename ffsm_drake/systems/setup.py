@@ -16,10 +16,10 @@ from pydrake.systems.framework import (
 )
 
 from ffsm_drake.common.errors import some
+from ffsm_drake.mission import Mission
 from ffsm_drake.scenario import Grip, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.craft import Craft
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 
 
@@ -115,7 +115,7 @@ class BlockSetup:
 
     Example:
       >>> from ffsm_drake import BlockSetup, load_scenario
-      >>> from ffsm_drake.spacecraft.mission import Mission
+      >>> from ffsm_drake.mission import Mission
       >>> mission = Mission(load_scenario("postcapture"))
       >>> given = {"nominal": mission.craft.nominal(), "settings": {"gain": 2.0}}
       >>> setup = BlockSetup(name="drag", mission=mission, **given)

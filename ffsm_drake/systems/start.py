@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ffsm_drake.spacecraft.mission import Mission
+from ffsm_drake.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.closed_chains import CLOSED_CHAINS

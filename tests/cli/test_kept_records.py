@@ -20,9 +20,9 @@ FAILURES = (
     RuntimeError("NetCDF: HDF error"), AssertionError(),
 )  # fmt: skip
 STEPS = {
-    "runs.limits.run_remarks": "remarks",
-    "runs.limits.run_clearance": "closest approach",
-    "runs.limits.broken_limits": "conclusion",
+    "runs.exceeded_limits.run_remarks": "remarks",
+    "runs.exceeded_limits.run_clearance": "closest approach",
+    "runs.exceeded_limits.broken_limits": "conclusion",
     "show.tables.results_table": "table",
     "show.outputs.write_outputs": "report",
     "runs.record.compute_metrics": "metrics.json",

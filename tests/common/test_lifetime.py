@@ -11,8 +11,8 @@ from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import load_scenario, make_nominal_plant, simulate
 from ffsm_drake.common.lifetime import holds_diagrams
+from ffsm_drake.mission import make_mission
 from ffsm_drake.runs.rollout import Rollout
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import make_controller
 
 pytestmark = pytest.mark.rounding

@@ -24,7 +24,7 @@ from ffsm_drake import (
 )
 from ffsm_drake.cli import main
 from ffsm_drake.loop.blocks import BLOCKS, make_blocks
-from ffsm_drake.spacecraft.mission import make_mission
+from ffsm_drake.mission import make_mission
 from ffsm_drake.testing import ConformanceError, check_block
 
 pytestmark = pytest.mark.rounding

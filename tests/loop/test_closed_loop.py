@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario, make_closed_loop
-from ffsm_drake.loop.closed_loop import SIGNALS
+from ffsm_drake.loop.closed_loop import LOOP_SIGNALS
+from ffsm_drake.mission import make_mission
 from ffsm_drake.runs.rollout import Rollout
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.reference import make_motion
 
 pytestmark = pytest.mark.rounding
@@ -24,7 +24,7 @@ def test_systems_and_signals_have_names():
     outputs = [
         loop.diagram.get_output_port(i).get_name() for i in range(loop.diagram.num_output_ports())
     ]
-    assert outputs == [*SIGNALS, "sliding_variable", "reaching_gain", "switching_gain"]
+    assert outputs == [*LOOP_SIGNALS, "sliding_variable", "reaching_gain", "switching_gain"]
 
 
 def test_the_geometry_is_loaded_only_to_be_shown():

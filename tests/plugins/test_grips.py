@@ -11,11 +11,11 @@ import pytest
 import ffsm_drake
 from ffsm_drake import load_scenario, make_nominal_plant
 from ffsm_drake.common.memo import content_of
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.compiled.case import case_of
 from ffsm_drake.plugins.estimators import coupled
 from ffsm_drake.plugins.planning import tvlqr
 from ffsm_drake.scenario import EMPTY, HELD
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import make_law
 
 

@@ -32,9 +32,9 @@ from fuzz.fuzz_inputs import mutated_bytes
 from hypothesis import strategies as st
 
 from ffsm_drake import FfsmError, load_scenario
+from ffsm_drake.mission import make_mission
 from ffsm_drake.scenario import controller_key
 from ffsm_drake.spacecraft.craft import make_nominal_plant
-from ffsm_drake.spacecraft.mission import make_mission
 
 SENTINEL = "sentinel_of_a_policy"  # a module that no file may import
 SHORT = ("duration=0.3",)

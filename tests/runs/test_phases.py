@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from ffsm_drake.mission import Mission
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.ending import DIVERGED
 from ffsm_drake.runs.phases import Phase, PhasedRollout, PhaseKind, Phases
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import EMPTY, HELD, load_scenario, override_scenario
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import controller_factory
 
 SCENARIO = load_scenario("postcapture", ["duration=0.6", "reference.duration=10"])

@@ -17,9 +17,9 @@ from ffsm_drake import (
     override_scenario,
     simulate,
 )
+from ffsm_drake.mission import make_mission
 from ffsm_drake.spacecraft.coordinates import error_rate, position_error
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import base_rpy, make_plant
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario
+from ffsm_drake.mission import Mission
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, Limit, tightest
-from ffsm_drake.spacecraft.mission import Mission
-from ffsm_drake.systems.limits import limits_of
+from ffsm_drake.systems.mission_limits import limits_of
 
 ONE = Coordinates(joints=("a",), joint_units=("m",))
 

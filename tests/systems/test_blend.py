@@ -7,9 +7,9 @@ import pytest
 from scipy.integrate import simpson
 
 from ffsm_drake import ScenarioError, load_scenario
+from ffsm_drake.mission import make_mission
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import Reference, Shaper
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.blend import Blend, make_impulses, septic_blend, septic_stop
 from ffsm_drake.systems.reference import make_motion
 

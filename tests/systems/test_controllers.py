@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario, make_closed_loop, make_nominal_plant
+from ffsm_drake.mission import make_mission
 from ffsm_drake.spacecraft.coordinates import error_rate, position_error
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import PAPER_LAWS, make_controller, make_law
 from ffsm_drake.systems.controllers.law import gains_of
 from ffsm_drake.systems.controllers.laws import asmc, tde_aismc

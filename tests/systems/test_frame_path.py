@@ -7,8 +7,8 @@ from pydrake.math import RollPitchYaw
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ModelError, ScenarioError, load_scenario
+from ffsm_drake.mission import make_mission
 from ffsm_drake.spacecraft.craft import make_nominal_plant
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import configuration, find_frame
 from ffsm_drake.systems.frame_path import make_frame_path
 from ffsm_drake.systems.grasping import GRASPINGS

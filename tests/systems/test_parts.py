@@ -27,7 +27,7 @@ from ffsm_drake import (
 )
 from ffsm_drake.cli import main
 from ffsm_drake.common.numbers import NONE
-from ffsm_drake.runs.limits import limits_left
+from ffsm_drake.runs.exceeded_limits import limits_left
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.runs.rollout import Rollout, user_supplied
 from ffsm_drake.show.outputs import REPORTS

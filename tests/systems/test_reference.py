@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, simulate_many
+from ffsm_drake.mission import make_mission
 from ffsm_drake.runs.judge import JUDGES
 from ffsm_drake.scenario import Reference
 from ffsm_drake.spacecraft.craft import make_true_plant
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.blend import quintic_blend
 from ffsm_drake.systems.reference import make_motion
 

@@ -24,7 +24,7 @@ from ffsm_drake import (
     simulate,
 )
 from ffsm_drake.cli import main
-from ffsm_drake.spacecraft.mission import make_mission
+from ffsm_drake.mission import make_mission
 from ffsm_drake.systems.controllers import (
     OPTIONAL_OUTPUTS,
     controller_names,

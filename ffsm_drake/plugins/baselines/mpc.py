@@ -34,9 +34,9 @@ from pydrake.systems.controllers import DiscreteTimeLinearQuadraticRegulator
 from scipy.optimize import nnls
 
 from ffsm_drake.common.so3 import matrix_of
+from ffsm_drake.mission import Mission
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.limits import FORCE, RATE, tightest
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.estimation import Estimator, make_estimator
 from ffsm_drake.systems.controllers.law import (
@@ -47,7 +47,7 @@ from ffsm_drake.systems.controllers.law import (
     gain,
 )
 from ffsm_drake.systems.controllers.time_delay import after_grasp
-from ffsm_drake.systems.limits import joint_limits
+from ffsm_drake.systems.mission_limits import joint_limits
 from ffsm_drake.systems.setup import BlockSetup
 
 _SLACK = 1e6  # cost of exceeding a limit after the first step by the limit itself

@@ -20,7 +20,7 @@ from ffsm_drake.plugins.campaign.command import campaign_progress, processors, w
 
 if TYPE_CHECKING:
     from ffsm_drake.common.errors import InterruptedCampaign
-    from ffsm_drake.plugins.benchmark.missions import Board, Mission
+    from ffsm_drake.plugins.benchmark.missions import BenchmarkMission, Board
 
 
 @click.command()
@@ -95,7 +95,7 @@ def benchmark(
 
 
 def _run(
-    laws: Iterable[tuple["Mission", Sequence[str]]],
+    laws: Iterable[tuple["BenchmarkMission", Sequence[str]]],
     runs: Path,
     workers: int,
     told: Callable[["Board"], None],

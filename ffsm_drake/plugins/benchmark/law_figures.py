@@ -14,6 +14,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.closed_loop import make_closed_loop
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.campaign.prediction import expected_radius, most_overestimated
 from ffsm_drake.plugins.design.limit import find_limit
 from ffsm_drake.plugins.design.stability.boundaries import (
@@ -23,7 +24,6 @@ from ffsm_drake.plugins.design.stability.boundaries import (
 )
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
 from ffsm_drake.scenario import Grip, Scenario, scenario_from_yaml
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.reference import timed
 
 RADIUS, PAYLOAD, DELAY = "spectral_radius", "payload_factor", "delay_margin"

@@ -27,6 +27,7 @@ from ffsm_drake.common.errors import (
 from ffsm_drake.common.files import check_regular, write_text
 from ffsm_drake.common.shapes import misfit
 from ffsm_drake.common.so3 import in_body_axes
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.actuators.thrusters import STANDARD_GRAVITY, ThrusterSet
 from ffsm_drake.plugins.benchmark.law_figures import FIGURES, law_figures
 from ffsm_drake.plugins.benchmark.least_time import least_times
@@ -47,7 +48,6 @@ from ffsm_drake.scenario import (
 )
 from ffsm_drake.scenario.strict_yaml import read_yaml
 from ffsm_drake.spacecraft.free_floating import free_floating
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import controller_names
 from ffsm_drake.systems.plan import load_plan
 from ffsm_drake.systems.reference import make_motion
@@ -85,7 +85,7 @@ class Published:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Mission:
+class BenchmarkMission:
     """A scenario with its source."""
 
     name: str
@@ -133,7 +133,7 @@ class Standing:
 class Board:
     """The result of a mission, best law first."""
 
-    mission: Mission
+    mission: BenchmarkMission
     standings: tuple[Standing, ...]
     bounds: Mapping[str, float]  # least times, s, by what they follow from
     motion: float  # s; of the planned motion
@@ -174,7 +174,7 @@ def mission_names() -> tuple[str, ...]:
     return tuple(_listed())
 
 
-def load_mission(name: str) -> Mission:
+def load_mission(name: str) -> BenchmarkMission:
     """A mission by name, or one of the user's own by the file of its scenario.
 
     Raises:
@@ -182,7 +182,7 @@ def load_mission(name: str) -> Mission:
     """
     if name in _listed():
         data = _listed()[name]
-        return Mission(
+        return BenchmarkMission(
             name=name,
             scenario=load_scenario(data.get("scenario", name), data.get("overrides", ())),
             source=data["source"],
@@ -195,7 +195,7 @@ def load_mission(name: str) -> Mission:
             f"{name}: no such mission; give a scenario's file, or choose one of "
             f"{choices(name, mission_names())}"
         )
-    return Mission(name=Path(name).stem, scenario=load_scenario(name), source=name)
+    return BenchmarkMission(name=Path(name).stem, scenario=load_scenario(name), source=name)
 
 
 def _spec(scenario: Scenario, controllers: Sequence[str]) -> Spec:
@@ -213,7 +213,7 @@ def _spec(scenario: Scenario, controllers: Sequence[str]) -> Spec:
 
 
 def run_mission(
-    mission: Mission,
+    mission: BenchmarkMission,
     controllers: Sequence[str],
     folder: Path,
     *,
@@ -242,7 +242,7 @@ def run_mission(
     return _board(mission, folder, misfits)
 
 
-def board_so_far(mission: Mission, controllers: Sequence[str], folder: Path) -> Board:
+def board_so_far(mission: BenchmarkMission, controllers: Sequence[str], folder: Path) -> Board:
     """The results that an interrupted ``run_mission`` leaves, a row for each law. Arguments and
     errors: see there.
     """
@@ -250,7 +250,9 @@ def board_so_far(mission: Mission, controllers: Sequence[str], folder: Path) -> 
     return _board(mission, folder, misfits, usable)
 
 
-def _usable(mission: Mission, controllers: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+def _usable(
+    mission: BenchmarkMission, controllers: Sequence[str]
+) -> tuple[list[str], dict[str, str]]:
     """The laws that apply to a mission, and why others do not."""
     misfits, usable = dict[str, str](), list[str]()
     for name in controllers or controller_names():
@@ -264,7 +266,7 @@ def _usable(mission: Mission, controllers: Sequence[str]) -> tuple[list[str], di
     return usable, misfits
 
 
-def _figures_of(mission: Mission, name: str, folder: Path) -> Path:
+def _figures_of(mission: BenchmarkMission, name: str, folder: Path) -> Path:
     """Path of the file with the ``law_figures`` of a law on a mission."""
     return folder / f"{mission.name}-{_spec(mission.scenario, [name]).fingerprint[:12]}.json"
 
@@ -280,7 +282,12 @@ def _read_figures(path: Path) -> dict[str, float | None] | None:
 
 
 def _find_figures(
-    mission: Mission, laws: Sequence[str], folder: Path, *, workers: Workers, stop: Stop | None
+    mission: BenchmarkMission,
+    laws: Sequence[str],
+    folder: Path,
+    *,
+    workers: Workers,
+    stop: Stop | None,
 ) -> None:
     """Compute the ``law_figures`` missing in the folder. Raises the errors of ``run_mission``."""
     missing = [name for name in laws if _read_figures(_figures_of(mission, name, folder)) is None]
@@ -307,7 +314,7 @@ def _find_figures(
 
 
 def _board(
-    mission: Mission, folder: Path, misfits: Mapping[str, str], wanted: Sequence[str] = ()
+    mission: BenchmarkMission, folder: Path, misfits: Mapping[str, str], wanted: Sequence[str] = ()
 ) -> Board:
     """The results in a folder; laws that are wanted have a row without any, too."""
     rows = {name: [_MISSING] * SEEDS for name in wanted} | _rows(mission, folder)
@@ -339,7 +346,7 @@ def _board(
     )
 
 
-def _rows(mission: Mission, folder: Path) -> dict[str, list[dict[str, Any]]]:
+def _rows(mission: BenchmarkMission, folder: Path) -> dict[str, list[dict[str, Any]]]:
     """The runs of each law in a folder's databases of the current version of the mission; of a law
     in several, the most complete.
     """
@@ -383,7 +390,7 @@ def _standing(name: str, rows: Sequence[Mapping[str, Any]], figures: Path) -> St
     )
 
 
-def bounds_of(mission: Mission) -> dict[str, float]:
+def bounds_of(mission: BenchmarkMission) -> dict[str, float]:
     """Least times of a mission, s (``least_times``): the bound from momentum and the actuators'
     limits, the least time at the start's posture, and the duration of an optimal plan, if there is
     one.

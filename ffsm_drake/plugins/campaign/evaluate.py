@@ -22,18 +22,18 @@ from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import number
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.campaign.cases import Case, scenario_of, with_controller
 from ffsm_drake.plugins.campaign.prediction import predict_many
 from ffsm_drake.plugins.campaign.spec import OLD_ENGINE, Spec, spec_from_json
 from ffsm_drake.runs.batches import Kept, run_many
 from ffsm_drake.runs.ending import GROWING, NOT_CAPTURED
 from ffsm_drake.runs.engine import DRAKE
-from ffsm_drake.runs.limits import CLEARANCE, distances_in, limits_left, not_measured
+from ffsm_drake.runs.exceeded_limits import CLEARANCE, distances_in, limits_left, not_measured
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import METRICS, drift_metrics, frame_figures
 from ffsm_drake.runs.record import software_versions
 from ffsm_drake.spacecraft.clearance import in_words
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.grasping import GRASPINGS
 from ffsm_drake.systems.parts.metrics import Metric
 from ffsm_drake.systems.parts.part import Part

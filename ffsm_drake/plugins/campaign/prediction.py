@@ -17,6 +17,7 @@ from scipy.interpolate import NearestNDInterpolator
 from ffsm_drake.common.errors import CampaignError, FfsmError, LimitError
 from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import is_rehearsed
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.campaign.cases import make_case, scenario_of
 from ffsm_drake.plugins.campaign.spec import Spec
 from ffsm_drake.plugins.design.stability.adaptation import expected_gains
@@ -25,7 +26,6 @@ from ffsm_drake.plugins.design.stability.load import predicted_load
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.plugins.design.stability.rehearsal import shares_diverged
 from ffsm_drake.runs.batches import all_but_controller
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.reference import timed
 
 POINTS, FEWEST_POINTS = 11, 4  # along each axis; few where there are few cases to compare with

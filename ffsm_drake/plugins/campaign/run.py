@@ -20,6 +20,7 @@ from ffsm_drake.common.interrupts import go_on_by
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.steps import step
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.campaign.cases import Case, make_cases, scenario_of
 from ffsm_drake.plugins.campaign.evaluate import (
     CIRCUMSTANCES,
@@ -40,7 +41,6 @@ from ffsm_drake.runs.engine import find_engine
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.runs.simulate import make_record
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.reference import timed
 
 # Memory at which a process is replaced: Drake keeps every diagram with a Python system alive, some

@@ -9,6 +9,7 @@ from pydrake.multibody.tree import Frame, RigidBody
 
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.so3 import quaternion_of, skew
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.compliant import compliant_grasp
 from ffsm_drake.plugins.capture.free_body import FINE_TURN, Target, path_of
 from ffsm_drake.plugins.capture.plastic import plastic_grasp
@@ -18,7 +19,6 @@ from ffsm_drake.scenario.contacts import closing_contacts
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.grasp import CompliantGrasp, Contact, shift_moment
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.spacecraft.plant import configuration, find_body, find_frame, hand_frame

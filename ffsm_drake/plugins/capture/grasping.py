@@ -7,6 +7,7 @@ import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform
 
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.approach import approach_posture, planned_approach
 from ffsm_drake.plugins.capture.contact import (
     contact_at,
@@ -21,7 +22,6 @@ from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.spacecraft.coordinates import Coordinates, halves
 from ffsm_drake.spacecraft.inertia import SIX
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, hand_frame
 from ffsm_drake.systems.parts.signals import STORED_MOMENTUM

@@ -15,6 +15,7 @@ import numpy as np
 from ffsm_drake.common.errors import ModelError
 from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.common.so3 import in_body_axes, matrix_of, quaternion_rate
+from ffsm_drake.mission import Mission, planned
 from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.clearance import Clearance
@@ -25,9 +26,8 @@ from ffsm_drake.spacecraft.coordinates import (
 )
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, tightest
-from ffsm_drake.spacecraft.mission import Mission, planned
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.systems.limits import joint_limits, limits_of
+from ffsm_drake.systems.mission_limits import joint_limits, limits_of
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.registry import base_actuators
 

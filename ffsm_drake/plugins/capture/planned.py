@@ -3,11 +3,11 @@
 import dataclasses
 from typing import Any
 
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.approach import planned_approach
 from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.plugins.capture.momentum import momentum_budget
 from ffsm_drake.plugins.capture.tables import grasp_lines
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.grasping import Grasping
 from ffsm_drake.systems.planned_motion import PlannedMotion
 

@@ -11,8 +11,8 @@ PLUGIN = Plugin(
         },
         "phases": {"hold": "capture.phases.hold:hold"},
         "graspings": {"capture": "capture.planned:PLANNED"},
-        "mission_phases": {"capture": "capture.mission:phases_of_capture"},
-        "target_views": {"capture": "capture.mission:view_of_target"},
+        "mission_phases": {"capture": "capture.phases.sequence:phases_of_capture"},
+        "target_views": {"capture": "capture.phases.sequence:view_of_target"},
         "report_sections": {"grasp": "capture.page:grasp_section"},
     },
 )

@@ -18,7 +18,7 @@ from ffsm_drake.plugins.tape.numbers import NotTraceable
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.controllers.law_block import LawBlock
-from ffsm_drake.systems.controllers.sampled import SIGNALS
+from ffsm_drake.systems.controllers.sampled import LAW_SIGNALS
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.sampled import Sampled, memory_of, phases_of, sized
 
@@ -330,7 +330,7 @@ class Blocks:
     def log(self) -> Places:
         """The signals of a record."""
         made = self._whole(_SAMPLED)
-        kept = {signal.name: signal.held for signal in SIGNALS}
+        kept = {signal.name: signal.held for signal in LAW_SIGNALS}
         kept |= dict.fromkeys(getattr(self.law, "logged", ()), True)
         for name, (cell, first, size) in laid("memory", sizes_of(self.memory)).items():
             if name in kept:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import System
 
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.compiled.blocks import kept_at, phases_at, row, sampled_of
 from ffsm_drake.plugins.compiled.kinds import kind_of
 from ffsm_drake.plugins.compiled.noise import Noise, noise_of
@@ -19,7 +20,6 @@ from ffsm_drake.plugins.compiled.schemes import steps_of
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import controller_names, make_controller
 from ffsm_drake.systems.disturbance import sines_of
 from ffsm_drake.systems.faults import settle_faults

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.compiled.apart import Refused, apart, reason_of
 from ffsm_drake.plugins.compiled.called import Trial
 from ffsm_drake.plugins.compiled.case import Case, case_of
@@ -27,7 +28,6 @@ from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import closing_times
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.faults import detects
 from ffsm_drake.systems.registry import Factory

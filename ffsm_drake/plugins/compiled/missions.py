@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.compiled.blocks import at_start, row, sizes_of
 from ffsm_drake.plugins.compiled.called import parts
 from ffsm_drake.plugins.compiled.case import Case
@@ -28,7 +29,6 @@ from ffsm_drake.runs.phases import MISSION_PHASES, Course, Phase, Phases, Stop
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.sampled import Arrays
 

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.compiled.blocks import Blocks, row
 from ffsm_drake.plugins.compiled.case import Case
 from ffsm_drake.plugins.compiled.models import PosedModel, posed_model
 from ffsm_drake.plugins.compiled.parameters import parameters_of, rows_of
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import MassProperties
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import SampledController, make_controller
 from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.registry import Factory

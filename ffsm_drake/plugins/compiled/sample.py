@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.compiled.apart import reason_of
 from ffsm_drake.plugins.compiled.blocks import kept_at, phases_at, sampled_of, sizes_of
 from ffsm_drake.plugins.compiled.called import parts
@@ -20,7 +21,6 @@ from ffsm_drake.plugins.compiled.parameters import rows_of
 from ffsm_drake.plugins.compiled.run import Run, run_of
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import HELD, Grip, MassProperties
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.reference import make_frame_motion
 
 _KEPT = 32  # codes

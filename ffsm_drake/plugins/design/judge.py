@@ -1,12 +1,12 @@
 """The judge of missions for the core and the report."""
 
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.design.layers import layer_remarks
 from ffsm_drake.plugins.design.remarks import plan_remarks
 from ffsm_drake.plugins.design.remedy_file import write_remedy
 from ffsm_drake.plugins.design.verdict import helpful_remarks, mission, verdict
 from ffsm_drake.runs.judge import Judge
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.mission import Mission
 
 
 class LinearJudge(Judge):

@@ -22,6 +22,7 @@ from scipy.linalg import solve_discrete_are
 
 from ffsm_drake.common.errors import BlockError, FfsmError
 from ffsm_drake.common.steps import step
+from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.plugins.design.stability.adaptation import expected_gains
 from ffsm_drake.plugins.design.stability.linear_loop import STATIONARY, covariance_after
 from ffsm_drake.plugins.design.stability.linear_settings import smooth_sensing
@@ -33,7 +34,6 @@ from ffsm_drake.plugins.design.stability.planned_dynamics import (
 from ffsm_drake.plugins.estimators.filter_gains import SMALLEST_RATIO
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.mission import Mission, make_mission
 
 # Prices of effort along the front, in the units of ``_regulator``.
 _PRICES = np.geomspace(1e7, 1e-3, 16)

@@ -11,10 +11,11 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from ffsm_drake.common.numbers import short
+from ffsm_drake.mission import Mission, make_mission, planned
 from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.plugins.capture.grasping import Aim
 from ffsm_drake.plugins.capture.momentum import momentum_budget, storage_remark
-from ffsm_drake.runs.limits import (
+from ffsm_drake.runs.exceeded_limits import (
     INSTANTS,
     Closest,
     closest_of,
@@ -26,10 +27,9 @@ from ffsm_drake.scenario import NOTHING, Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, position_error
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
 from ffsm_drake.spacecraft.mass_properties import set_payload
-from ffsm_drake.spacecraft.mission import Mission, make_mission, planned
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_body
-from ffsm_drake.systems.limits import actuation_limit, joint_limits, uneven_remarks
+from ffsm_drake.systems.mission_limits import actuation_limit, joint_limits, uneven_remarks
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.start import velocity_at_start

@@ -15,6 +15,7 @@ from typing import Any
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import is_rehearsed
+from ffsm_drake.mission import Mission, kept, make_mission
 from ffsm_drake.plugins.design.remarks import posture_limits
 from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.design.stability.adaptation import axis_law, is_euler
@@ -25,7 +26,6 @@ from ffsm_drake.plugins.design.stability.one_axis import tolerated_eta
 from ffsm_drake.plugins.design.stability.rehearsal import MANY, shares_diverged
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import Scenario, override_scenario
-from ffsm_drake.spacecraft.mission import Mission, kept, make_mission
 from ffsm_drake.systems.controllers import complete_gains, declared_gains
 from ffsm_drake.systems.parts.advice import Advice
 

@@ -19,6 +19,7 @@ from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.numbers import number, percent
 from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import is_rehearsed
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.momentum import momentum_budget, momentum_lines
 from ffsm_drake.plugins.design.remarks import plan_clearance, plan_limits, plan_remarks
 from ffsm_drake.plugins.design.remedies import remedies
@@ -38,12 +39,11 @@ from ffsm_drake.plugins.design.stability.rehearsal import (
 )
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.ending import NOT_SETTLED, Ending
-from ffsm_drake.runs.limits import CLEARANCE, broken_limits, limits_left
+from ffsm_drake.runs.exceeded_limits import CLEARANCE, broken_limits, limits_left
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario, checked
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.parts.advice import Advice
 
 _ALONE = ", each by itself"  # of remedies that may help without the others

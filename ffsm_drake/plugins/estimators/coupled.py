@@ -17,6 +17,7 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.so3 import matrix_of
+from ffsm_drake.mission import Mission, planned
 from ffsm_drake.plugins.estimators.assumed_noise import assumed_noise, sensed_axes
 from ffsm_drake.plugins.estimators.filter_gains import coupled_gain
 from ffsm_drake.plugins.estimators.kalman import (
@@ -28,7 +29,6 @@ from ffsm_drake.plugins.estimators.kalman import (
 from ffsm_drake.scenario import Grip
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
-from ffsm_drake.spacecraft.mission import Mission, planned
 from ffsm_drake.systems.controllers.estimation import Estimate, Estimator
 from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.reference import make_motion

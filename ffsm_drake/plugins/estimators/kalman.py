@@ -29,11 +29,11 @@ import numpy as np
 
 from ffsm_drake.common.products import product
 from ffsm_drake.common.so3 import matrix_of
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.estimators.assumed_noise import axes_matter, sensed_axes
 from ffsm_drake.plugins.estimators.filter_gains import kalman_gain, late_gains
 from ffsm_drake.scenario import Grip
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers.estimation import Estimate, Estimator
 from ffsm_drake.systems.controllers.law import Sample, State
 

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from ffsm_drake.common.so3 import matrix_of
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.actuators.base import LOST, STUCK_ON
 from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.plugins.actuators.row import make_base_actuators
@@ -18,7 +19,6 @@ from ffsm_drake.plugins.faults.jam import JAMMED
 from ffsm_drake.plugins.faults.sensors import SENSOR_FAULTS, reports_losses, sensors_of
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel, damping_of
 from ffsm_drake.systems.sensing.errors import measurement_times
 from ffsm_drake.systems.setup import BlockSetup

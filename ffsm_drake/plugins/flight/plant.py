@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.compiled.apart import apart, reason_of
 from ffsm_drake.plugins.compiled.blocks import COUNTS, laid
 from ffsm_drake.plugins.compiled.case import Case
@@ -23,7 +24,6 @@ from ffsm_drake.plugins.tape.numbers import Tape, number
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import closing_times
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import ControlLaw
 from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.frame_path import FRAME_SIZE

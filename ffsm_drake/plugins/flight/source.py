@@ -11,7 +11,7 @@ from ffsm_drake.plugins.flight.traced import PLANNED, TIME, FlightLaw
 from ffsm_drake.plugins.tape.numbers import NotTraceable
 from ffsm_drake.spacecraft.limits import POSITION, RATE
 from ffsm_drake.systems.frame_path import FRAME_SIZE
-from ffsm_drake.systems.limits import joint_limits
+from ffsm_drake.systems.mission_limits import joint_limits
 
 _RESUMED = "const law_gains *gains, const law_state *before, law_state *next"
 _ANY = f"const law_in *in, {_RESUMED}, law_out *out"

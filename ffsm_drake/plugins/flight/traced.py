@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
+from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.plugins.compiled.blocks import at_start, sizes_of
 from ffsm_drake.plugins.compiled.models import traced_model
 from ffsm_drake.plugins.compiled.parameters import (
@@ -26,7 +27,6 @@ from ffsm_drake.plugins.flight.functions import Function, Precision
 from ffsm_drake.plugins.tape.arrays import inputs, traced
 from ffsm_drake.plugins.tape.numbers import NotTraceable, Symbol, Tape, none_caught, number
 from ffsm_drake.scenario import Grip, Scenario
-from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers import SampledController, make_controller
 from ffsm_drake.systems.controllers.law import Gain, gains_of

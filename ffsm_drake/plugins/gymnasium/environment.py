@@ -14,6 +14,7 @@ import gymnasium
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, one_line
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.gymnasium.aside import Aside
 from ffsm_drake.plugins.policy.policy import (
     ACTIONS,
@@ -28,10 +29,9 @@ from ffsm_drake.plugins.task_space.tasks import TaskSpace
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import Scenario, load_scenario
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import ControlLaw
 from ffsm_drake.systems.controllers.law import Sample, State
-from ffsm_drake.systems.limits import actuation_limit
+from ffsm_drake.systems.mission_limits import actuation_limit
 from ffsm_drake.systems.registry import find_factory
 from ffsm_drake.systems.setup import BlockSetup
 

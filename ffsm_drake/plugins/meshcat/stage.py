@@ -30,10 +30,10 @@ from pydrake.systems.framework import Context, DiagramBuilder
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.loopback import HOST, random_loopback
+from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.plugins.meshcat.solids import draw_over, draw_solids, solids_of
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.boxes import box_around, box_corners
-from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.spacecraft.plant import (
     add_combined_plant,
     base_body,

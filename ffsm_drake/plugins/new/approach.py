@@ -10,6 +10,7 @@ import numpy as np
 from pydrake.math import RollPitchYaw
 
 from ffsm_drake.common.steps import step
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.new.draft import Draft
@@ -18,7 +19,6 @@ from ffsm_drake.plugins.new.postures import STARTS, Arm
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
 from ffsm_drake.spacecraft.limits import POSITION, RATE
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.plant import find_frame
 from ffsm_drake.systems.reference import make_motion
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.design.rounding import readable
 from ffsm_drake.plugins.design.stability import Margins
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
@@ -12,9 +13,8 @@ from ffsm_drake.plugins.new.asked import Asked
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
 from ffsm_drake.scenario import Grip, Scenario, scenario_from_dict
 from ffsm_drake.spacecraft.craft import Craft
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.plant import configuration
-from ffsm_drake.systems.limits import actuation_limit
+from ffsm_drake.systems.mission_limits import actuation_limit
 
 _HOLD, _LONG_HOLD = 5.0, 20.0  # s, the target posture is held; with real sensors or actuators
 _RATE, _SHARE_OF_VELOCITY = {"rad": 0.1, "m": 0.05}, 0.2  # rad/s, m/s; of the URDF's limits

@@ -17,7 +17,7 @@ from ffsm_drake.plugins.new.draft import Draft
 from ffsm_drake.scenario import Grip
 from ffsm_drake.scenario.actuation import Thrusters, Wheel, thrusters_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
-from ffsm_drake.systems.limits import actuation_limit
+from ffsm_drake.systems.mission_limits import actuation_limit
 
 MOTION = 0.65  # share of what the base's actuators give, for the motion
 # Steps, s, and rates within which friction changes its sign, rad/s or m/s; its time constant near

@@ -8,12 +8,12 @@ import math
 import numpy as np
 
 from ffsm_drake.common.steps import step
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.plugins.new.draft import Draft
 from ffsm_drake.plugins.new.hardware import MOTION, Hardware
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.mission import Mission
 
 SECONDS = 5.0  # durations are multiples of these
 _JOINT, _DISTURBED = 0.3, 0.3  # shares of what the actuators give

@@ -12,12 +12,12 @@ import math
 
 import numpy as np
 
-from ffsm_drake.plugins.paper.runs import PROPOSED, Case
+from ffsm_drake.mission import Mission
+from ffsm_drake.plugins.paper.runs import PROPOSED, StudyCase
 from ffsm_drake.plugins.paper.wording import scientific
 from ffsm_drake.runs.metrics import isv, itae
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import error_rate, position_error
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers import make_law
 from ffsm_drake.systems.disturbance import force_at, sines_of
@@ -69,7 +69,7 @@ class MinorStepRun:
 @functools.lru_cache(maxsize=4)
 def minor_step_runs(overrides: tuple[str, ...] = ()) -> tuple[MinorStepRun, ...]:
     """Runs of the proposed controller, published gains, under tau_d1; the last holds the force."""
-    scenario = Case(setting="euler", controller=PROPOSED).scenario(overrides)
+    scenario = StudyCase(setting="euler", controller=PROPOSED).scenario(overrides)
     return (*(run(scenario, scheme) for scheme in MINOR), run(scenario, RUNGE_KUTTA, held=True))
 
 

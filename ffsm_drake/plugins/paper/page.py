@@ -17,7 +17,7 @@ from ffsm_drake.plugins.paper.figures import FigureFile
 from ffsm_drake.plugins.paper.minor_steps import minor_step_table
 from ffsm_drake.plugins.paper.outcome import CHOICES, CHOICES_HEADER, outcome
 from ffsm_drake.plugins.paper.robustness import nominal_payload_table
-from ffsm_drake.plugins.paper.runs import PROPOSED, SETTINGS, Case, Results
+from ffsm_drake.plugins.paper.runs import PROPOSED, SETTINGS, Results, StudyCase
 from ffsm_drake.plugins.paper.table import HEADER, markdown_rows, table_csv, table_notes
 from ffsm_drake.plugins.paper.verdict import Kind, Verdict
 from ffsm_drake.plugins.paper.wording import listed, span, times_span
@@ -107,7 +107,7 @@ def runs_made(results: Results) -> list[str]:
     """Description of the runs, in sentences."""
     table = sum(not case.variant for case in results.runs)
     diverged = sum(not run.outcome.completed for run in results.runs.values())
-    scenario = Case(setting="bounded", controller=PROPOSED).scenario(results.overrides)
+    scenario = StudyCase(setting="bounded", controller=PROPOSED).scenario(results.overrides)
     gains = complete_gains(scenario).controllers[PROPOSED]
     seconds = math.fsum(run.outcome.time for run in results.runs.values())
     period, noise = (

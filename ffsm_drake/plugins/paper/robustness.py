@@ -6,7 +6,14 @@ from collections.abc import Iterable
 
 from ffsm_drake.plugins.analysis.inertia import InertiaMatch, match_inertia
 from ffsm_drake.plugins.paper.minor_steps import minor_step_runs
-from ffsm_drake.plugins.paper.runs import CONTROLLERS, NOMINALS, PROPOSED, Case, Results, gain_of
+from ffsm_drake.plugins.paper.runs import (
+    CONTROLLERS,
+    NOMINALS,
+    PROPOSED,
+    Results,
+    StudyCase,
+    gain_of,
+)
 from ffsm_drake.plugins.paper.verdict import Evaluated, both, claims_about, holds_if, in_both
 from ffsm_drake.plugins.paper.wording import NAMES, fate, fixed, itae_of, listed, named, span
 from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
@@ -148,7 +155,7 @@ def nominal_payload_table(results: Results) -> tuple[list[str], list[list[str]]]
 def _nominal_mass(variant: str) -> float:
     """Mass of a variant's nominal payload, kg."""
     return (
-        Case(setting="bounded", controller=PROPOSED, variant=variant)
+        StudyCase(setting="bounded", controller=PROPOSED, variant=variant)
         .scenario()
         .payload.nominal.mass
     )
@@ -160,7 +167,7 @@ def _kilograms(variants: Iterable[str]) -> str:
 
 def _inertia_match(results: Results, variant: str) -> InertiaMatch:
     """The match of H and Hhat along the planned motion."""
-    scenario = Case(setting="bounded", controller=PROPOSED, variant=variant).scenario(
+    scenario = StudyCase(setting="bounded", controller=PROPOSED, variant=variant).scenario(
         results.overrides
     )
     planned = results.record("bounded", PROPOSED).dataset["desired_position"].values

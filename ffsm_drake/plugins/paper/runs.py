@@ -48,7 +48,7 @@ NOMINALS = tuple(name for name in VARIANTS if name.startswith("nominal"))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Case:
+class StudyCase:
     """One run, by name."""
 
     setting: str
@@ -58,7 +58,7 @@ class Case:
     variant: str = ""
 
     @property
-    def canonical(self) -> "Case":
+    def canonical(self) -> "StudyCase":
         """The case whose run is used: bounding K_s changes only the proposed controller."""
         shared = self.setting == "bounded" and self.controller != PROPOSED
         return dataclasses.replace(self, setting="exact") if shared else self
@@ -79,7 +79,7 @@ class Case:
 class Run:
     """Results of a run."""
 
-    case: Case
+    case: StudyCase
     outcome: Outcome
     metrics: dict[str, Any]
     # Rms change of the force from one sample to the next, by whole seconds and coordinate (n, nv),
@@ -109,13 +109,13 @@ class Run:
 class Results:
     """All runs, by case."""
 
-    runs: dict[Case, Run]
+    runs: dict[StudyCase, Run]
     num_seeds: int
     overrides: tuple[str, ...] = ()  # applied to every run; empty for the reproduction proper
 
     def run(self, setting: str, controller: str, *, seed: int = 0, variant: str = "") -> Run:
         """The run of a case under tau_d1, possibly shared with another case."""
-        case = Case(setting=setting, controller=controller, seed=seed, variant=variant)
+        case = StudyCase(setting=setting, controller=controller, seed=seed, variant=variant)
         return self.runs[case.canonical]
 
     def runs_of(self, setting: str, side: Side) -> pd.DataFrame:
@@ -125,7 +125,7 @@ class Results:
         divergence, s; NaN if the run completed.
         """
         name, variant = (side, "") if isinstance(side, str) else side
-        one = Case(setting=setting, controller=name, variant=variant).canonical
+        one = StudyCase(setting=setting, controller=name, variant=variant).canonical
         return self._sides.get_group((one.setting, name, variant))
 
     @functools.cached_property
@@ -145,7 +145,7 @@ class Results:
 
     def record(self, setting: str, controller: str, *, variant: str = "") -> RunRecord:
         """The full record of a case that ``keeps_record``."""
-        case = Case(setting=setting, controller=controller, variant=variant)
+        case = StudyCase(setting=setting, controller=controller, variant=variant)
         return self._records[case.canonical]
 
     @property
@@ -173,7 +173,7 @@ class Results:
         return self.runs_of(setting, side)["diverged"].dropna().tolist()
 
     @functools.cached_property
-    def _records(self) -> dict[Case, RunRecord]:
+    def _records(self) -> dict[StudyCase, RunRecord]:
         versions = software_versions()
         return {
             case: RunRecord(
@@ -193,31 +193,33 @@ def gain_of(scenario: Scenario, gain: str, controller: str = PROPOSED) -> float:
     return (scenario.controllers[controller][gain] or {})["all"]
 
 
-def keeps_record(case: Case) -> bool:
+def keeps_record(case: StudyCase) -> bool:
     """True if a figure or claim needs the full record of the run."""
     noise_free = case.controller == PROPOSED and case.variant == "no noise"
     return case.disturbance == "tau_d1" and case.seed == 0 and (case.variant == "" or noise_free)
 
 
-def table_cases(num_seeds: int) -> list[Case]:
+def table_cases(num_seeds: int) -> list[StudyCase]:
     """The runs of Table 2 in all settings."""
     return _cases(STUDY["runs"][:1], range(num_seeds))
 
 
-def figure_cases(settings: Iterable[str], controllers: Iterable[str]) -> list[Case]:
+def figure_cases(settings: Iterable[str], controllers: Iterable[str]) -> list[StudyCase]:
     """The runs in a figure of these controllers."""
     return _cases([{"settings": settings, "controllers": controllers}])
 
 
-def all_cases(num_seeds: int) -> list[Case]:
+def all_cases(num_seeds: int) -> list[StudyCase]:
     """All cases that the page shows or evaluates."""
     return _cases(STUDY["runs"], range(num_seeds))
 
 
-def _cases(groups: Iterable[Mapping[str, Any]], seeds: Sequence[int] = (0,)) -> list[Case]:
+def _cases(groups: Iterable[Mapping[str, Any]], seeds: Sequence[int] = (0,)) -> list[StudyCase]:
     """The distinct runs of groups; each group has every combination of its values."""
     cases = [
-        Case(setting=setting, controller=name, disturbance=disturbance, seed=seed, variant=variant)
+        StudyCase(
+            setting=setting, controller=name, disturbance=disturbance, seed=seed, variant=variant
+        )
         for group in groups
         for setting, disturbance, name, seed, variant in product(
             group["settings"],
@@ -231,7 +233,7 @@ def _cases(groups: Iterable[Mapping[str, Any]], seeds: Sequence[int] = (0,)) -> 
 
 
 def run_cases(
-    cases: Sequence[Case],
+    cases: Sequence[StudyCase],
     *,
     num_seeds: int,
     overrides: Sequence[str] = (),
@@ -255,7 +257,7 @@ def run_cases(
     )
 
 
-def _run(case: Case, overrides: Sequence[str]) -> Run:
+def _run(case: StudyCase, overrides: Sequence[str]) -> Run:
     # some of these gains are known to be unstable
     record = simulate(case.scenario(overrides), check_stability=False)
     if record.outcome.status == "interrupted":

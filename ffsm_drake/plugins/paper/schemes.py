@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.paper.runs import PROPOSED, Results
 from ffsm_drake.plugins.paper.verdict import Evaluated, both, claims_about, holds_if, ratios_in_both
 from ffsm_drake.plugins.paper.wording import fixed, percent, span, times_span
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.craft import Craft
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import make_law
 
 claim = claims_about("Comparison of the schemes")

@@ -6,7 +6,7 @@ import numpy as np
 
 from ffsm_drake.plugins.analysis import Analysis, analyze
 from ffsm_drake.plugins.design.stability import stability
-from ffsm_drake.plugins.paper.runs import CONTROLLERS, PROPOSED, SETTINGS, Case, Results
+from ffsm_drake.plugins.paper.runs import CONTROLLERS, PROPOSED, SETTINGS, Results, StudyCase
 from ffsm_drake.plugins.paper.verdict import (
     Both,
     Claim,
@@ -40,7 +40,7 @@ def proof_is_conclusive(results: Results) -> Evaluated:
     ]
     margins = {
         (setting, name): stability(
-            Case(setting=setting, controller=name).scenario(results.overrides)
+            StudyCase(setting=setting, controller=name).scenario(results.overrides)
         )
         for setting in ("euler", "exact")
         for name in CONTROLLERS

@@ -14,9 +14,10 @@ from ffsm_drake.common.errors import FfsmError, ScenarioError
 from ffsm_drake.common.numbers import short
 from ffsm_drake.common.so3 import rotation_error
 from ffsm_drake.common.steps import step
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.planning.curve import INSTANTS
 from ffsm_drake.plugins.planning.inverse_dynamics import FreeDynamics, InverseDynamics
-from ffsm_drake.plugins.planning.limits import Margin, MotionLimits, margins, motion_limits
+from ffsm_drake.plugins.planning.motion_limits import Margin, MotionLimits, margins, motion_limits
 from ffsm_drake.plugins.planning.program import PlanningProgram
 from ffsm_drake.plugins.task_space.free_motion import FreeMotion
 from ffsm_drake.scenario import Scenario
@@ -27,7 +28,6 @@ from ffsm_drake.spacecraft.coordinates import (
     position_errors,
 )
 from ffsm_drake.spacecraft.free_floating import free_floating
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.plan import DEGREE, Plan
 from ffsm_drake.systems.planned_motion import PathMotion

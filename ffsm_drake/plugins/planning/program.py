@@ -15,7 +15,7 @@ from pydrake.solvers import LinearConstraint, MathematicalProgram, PyFunctionCon
 from ffsm_drake.common.so3 import attitude_motion
 from ffsm_drake.plugins.planning.curve import Curve
 from ffsm_drake.plugins.planning.inverse_dynamics import FreeDynamics, InverseDynamics
-from ffsm_drake.plugins.planning.limits import MotionLimits
+from ffsm_drake.plugins.planning.motion_limits import MotionLimits
 from ffsm_drake.plugins.planning.nearness import Nearness
 from ffsm_drake.plugins.planning.patient_solver import PatientSolver
 from ffsm_drake.plugins.planning.turn_limit import TurnLimit

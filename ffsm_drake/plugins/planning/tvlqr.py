@@ -19,9 +19,9 @@ from pydrake.systems.controllers import DiscreteTimeLinearQuadraticRegulator
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.so3 import quaternion_rate, skew
+from ffsm_drake.mission import Mission, planned
 from ffsm_drake.scenario import Grip
 from ffsm_drake.spacecraft.free_floating import driven_model
-from ffsm_drake.spacecraft.mission import Mission, planned
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import DRAKE_ERRORS
 from ffsm_drake.systems.controllers.law import (

@@ -13,8 +13,8 @@ import numpy as np
 
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.numbers import NONE, number, percent
+from ffsm_drake.runs.exceeded_limits import run_clearance, saturation
 from ffsm_drake.runs.judge import JUDGES
-from ffsm_drake.runs.limits import run_clearance, saturation
 from ffsm_drake.runs.metrics import drift_metrics, frame_figures, of_group
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.results import Result, actuators_act, ranking

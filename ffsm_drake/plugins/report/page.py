@@ -25,8 +25,8 @@ from ffsm_drake.runs.ending import (
     SETTLED,
     SETTLED_OVER,
 )
+from ffsm_drake.runs.exceeded_limits import broken_limits, run_remarks
 from ffsm_drake.runs.judge import JUDGES
-from ffsm_drake.runs.limits import broken_limits, run_remarks
 from ffsm_drake.runs.reading import IDENTIFIER
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario

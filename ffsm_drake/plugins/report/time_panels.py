@@ -14,7 +14,7 @@ from ffsm_drake.show.run_charts import (
     position_charts,
     rms_charts,
 )
-from ffsm_drake.systems.controllers.sampled import SIGNALS
+from ffsm_drake.systems.controllers.sampled import LAW_SIGNALS
 
 
 def run_views(results: Sequence[Result]) -> dict[str, list[View]]:
@@ -44,7 +44,7 @@ def run_views(results: Sequence[Result]) -> dict[str, list[View]]:
         },
         "sliding": {},
     }
-    for signal in SIGNALS:
+    for signal in LAW_SIGNALS:
         heading, _, unit = (signal.heading or "").rstrip("]").partition(" [")
         if heading == "Sliding variable s":
             found = {_sliding_unit(result) for result in results} - {""}

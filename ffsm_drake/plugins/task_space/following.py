@@ -1,8 +1,8 @@
 """Motions of a mission that follow a frame's path or the conservation of momentum."""
 
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.task_space.free_motion import FreeMotion
 from ffsm_drake.plugins.task_space.resolved_motion import ResolvedMotion
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.frame_path import goal_frame, make_frame_path
 from ffsm_drake.systems.planned_motion import PlannedMotion

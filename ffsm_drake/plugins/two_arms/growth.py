@@ -10,10 +10,10 @@ import math
 import numpy as np
 
 from ffsm_drake.common.numbers import counted, short
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.scenario import HELD, Grip, Scenario
 from ffsm_drake.spacecraft.coordinates import position_error
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample
 
 _EXAMPLE = 1e-3  # rad or m, of every joint of the closing arms, where a scenario has no error

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.two_arms.contact import CLOSING, LOSS
 from ffsm_drake.plugins.two_arms.flow import GAP, WRENCHES
 from ffsm_drake.runs.ending import MISSED
@@ -25,7 +26,6 @@ from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.scenario.contacts import ALL_HANDS, Grip, closing_contacts, closing_times
-from ffsm_drake.spacecraft.mission import Mission
 
 _BLOCK, _FORCE, _OTHER = "forces.contacts", "force_contacts", "force_disturbance"
 

@@ -18,11 +18,11 @@ from scipy.linalg.lapack import dgesv, dposv
 from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.common.products import times
 from ffsm_drake.common.so3 import cross_of
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import InternalForce, closing_contacts
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel, stacked
 from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, configuration, find_body
 from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State, WrappedLaw

@@ -18,6 +18,7 @@ from scipy.interpolate import BPoly, BSpline, make_interp_spline
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.so3 import turned_by
+from ffsm_drake.mission import Mission, planned
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Loop, newton_step
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import ALL_HANDS, closing_times
@@ -28,7 +29,6 @@ from ffsm_drake.spacecraft.coordinates import (
     position_error,
 )
 from ffsm_drake.spacecraft.grasp import plastic_impact
-from ffsm_drake.spacecraft.mission import Mission, planned
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_body
 from ffsm_drake.systems.blend import Blend

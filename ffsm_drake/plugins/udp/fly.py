@@ -21,6 +21,7 @@ import numpy as np
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.interrupts import handle_signals, interruptible
 from ffsm_drake.common.numbers import counted
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.udp.packets import (
     HOLDS,
     IS_FIRST,
@@ -32,7 +33,6 @@ from ffsm_drake.plugins.udp.packets import (
     read,
 )
 from ffsm_drake.scenario import Grip, Scenario, load_scenario
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import SampledController, make_controller
 from ffsm_drake.systems.controllers.law import State
 

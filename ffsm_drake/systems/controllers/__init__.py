@@ -6,11 +6,11 @@ from pydrake.systems.framework import System
 
 from ffsm_drake.common.errors import BlockError, ScenarioError, did_you_mean
 from ffsm_drake.common.registrations import Registry
+from ffsm_drake.mission import Mission
 from ffsm_drake.scenario import CommandFilter, Scenario
 from ffsm_drake.scenario.contacts import closing_contacts
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.closed_chains import CLOSED_CHAINS
 from ffsm_drake.systems.controllers.law import (

@@ -14,9 +14,9 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError, one_line
 from ffsm_drake.common.registrations import Registry
+from ffsm_drake.mission import Mission
 from ffsm_drake.scenario import HELD, Grip
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers.law import Sample, State
 
 

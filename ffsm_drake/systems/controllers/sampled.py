@@ -16,7 +16,7 @@ from ffsm_drake.systems.parts.signals import UNIT, Signal
 
 SMALLEST = "smallest_singular_value"
 # Memory of a law that becomes an output and is recorded: (nv), or one number without a dimension.
-SIGNALS = (
+LAW_SIGNALS = (
     Signal(
         name="sliding_variable", unit=ControlLaw.sliding_unit, dimension="coordinate",
         meaning="sliding variable s of this sample", heading="Sliding variable s [{unit}/s]",
@@ -34,7 +34,7 @@ SIGNALS = (
         meaning="smallest singular value of the joints' J*, rad counted as m",
     ),
 )  # fmt: skip
-OPTIONAL_OUTPUTS = tuple(each.name for each in SIGNALS if each.dimension)
+OPTIONAL_OUTPUTS = tuple(each.name for each in LAW_SIGNALS if each.dimension)
 _ONE = np.ones(1)
 
 
@@ -95,7 +95,7 @@ class SampledController(LeafSystem):
         self._declare_inputs()
         self._declare_state(len(coordinates.names), memory)
         self.DeclareStateOutputPort("generalized_force", self._force)
-        for key in (each.name for each in SIGNALS):
+        for key in (each.name for each in LAW_SIGNALS):
             if key in self._memory:
                 self.DeclareStateOutputPort(key, self._memory[key])
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))

@@ -16,7 +16,7 @@ from ffsm_drake.systems.sensing.noise import drift, white_noise
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 
 # Variables of the record.
-SIGNALS = state_signals(
+MEASUREMENT_SIGNALS = state_signals(
     "measurement", "measured_", "measured q, read by the controller",
     "measured v, read by the controller", "1",
 )  # fmt: skip

@@ -12,9 +12,9 @@ from pydrake.systems.framework import DiagramBuilder
 from refusals import assert_refused
 
 from ffsm_drake import make_closed_loop, make_nominal_plant, simulate
+from ffsm_drake.mission import make_mission
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.spacecraft.coordinates import error_rate, position_error
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import Sample, SampledController, gain_vectors
 from ffsm_drake.systems.controllers.estimation import make_estimator
 from ffsm_drake.systems.controllers.laws.tdc import Tdc

@@ -42,7 +42,7 @@ from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
 from ffsm_drake.systems.controllers import ControlLaw
-from ffsm_drake.systems.limits import uneven_remarks
+from ffsm_drake.systems.mission_limits import uneven_remarks
 from ffsm_drake.systems.parts.signals import pulses_of
 
 LAYOUTS = tuple(thruster_layouts())

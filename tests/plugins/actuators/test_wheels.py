@@ -26,7 +26,7 @@ from ffsm_drake.show.results import results_of
 from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.plant import models_dir
-from ffsm_drake.systems.limits import uneven_remarks
+from ffsm_drake.systems.mission_limits import uneven_remarks
 
 SHORT = (*flight_settings.FLIGHT, *flight_settings.NO_NOISE, "duration=2")
 INERTIA, PERIOD = 0.08, 0.01

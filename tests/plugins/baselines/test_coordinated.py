@@ -5,8 +5,8 @@ import pytest
 from own_loop import EXACT, FIRST, SWING, flown, resting
 
 from ffsm_drake import load_scenario, make_nominal_plant
+from ffsm_drake.mission import make_mission
 from ffsm_drake.spacecraft.free_floating import free_floating
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import make_law
 
 

@@ -10,8 +10,8 @@ from scipy.linalg import solve_discrete_are
 from scipy.optimize import lsq_linear
 
 from ffsm_drake import load_scenario, make_nominal_plant, simulate
+from ffsm_drake.mission import make_mission
 from ffsm_drake.scenario import thrusters_of
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import Sample, make_law
 
 T = 0.1  # s

@@ -8,7 +8,7 @@ from pydrake.math import RotationMatrix
 from scipy.optimize import minimize
 
 from ffsm_drake import load_scenario, make_nominal_plant
-from ffsm_drake.spacecraft.mission import make_mission
+from ffsm_drake.mission import make_mission
 from ffsm_drake.systems.controllers import Sample, make_law
 
 LIMITS = "actuation.limit={base_rotation: 40, base_position: 30, joints: 15}"

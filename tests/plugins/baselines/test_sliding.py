@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from ffsm_drake import BlockError, load_scenario, make_nominal_plant
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.baselines.fixed_time import FixedTime
 from ffsm_drake.plugins.baselines.powers import signed_power, slope
 from ffsm_drake.plugins.baselines.super_twisting import SuperTwisting
 from ffsm_drake.plugins.baselines.terminal_sliding_mode import TerminalSlidingMode
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import gain_vectors, make_law
 from ffsm_drake.systems.controllers.laws.aismc import Aismc
 from ffsm_drake.systems.controllers.laws.asmc import Asmc

@@ -11,11 +11,11 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator
 
 from ffsm_drake import load_scenario, make_nominal_plant, simulate
 from ffsm_drake.loop.closed_loop import make_closed_loop
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.baselines.payload import Payload, force_of
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.spacecraft.free_floating import free_floating
 from ffsm_drake.spacecraft.mass_properties import spatial_inertia
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import controller_setup
 
 LIGHT = MassProperties(mass=80.0, center_of_mass=[0.0, 0.0, 0.0], inertia=[12.0, 12.0, 12.0])

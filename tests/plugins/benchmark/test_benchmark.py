@@ -16,10 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import CampaignError, InterruptedCampaign
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.benchmark import missions
 from ffsm_drake.plugins.benchmark.law_figures import FIGURES
 from ffsm_drake.plugins.benchmark.missions import (
-    Mission,
+    BenchmarkMission,
     Published,
     Reproduced,
     board_so_far,
@@ -41,7 +42,6 @@ from ffsm_drake.scenario import override_scenario, thrusters_of
 from ffsm_drake.show.table_files import write_table
 from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.spacecraft.free_floating import free_floating
-from ffsm_drake.spacecraft.mission import make_mission
 
 LAW = """
 import dataclasses
@@ -217,11 +217,11 @@ def test_least_times_of_the_published_stop():
 def test_wheels_and_thrusters_act_together():
     """Each alone takes longer than both, and no torque goes beyond the sum of what they give."""
     scenario = load_mission("capture_on_thrusters").scenario
-    both = bounds_of(Mission(name="", scenario=scenario))["held"]
+    both = bounds_of(BenchmarkMission(name="", scenario=scenario))["held"]
     assert both == pytest.approx(0.079, rel=0.01)
     for left in ("wheels", "thrusters"):
         alone = override_scenario(scenario, [f"actuation.{left}=null"])
-        assert bounds_of(Mission(name="", scenario=alone))["held"] > 1.2 * both
+        assert bounds_of(BenchmarkMission(name="", scenario=alone))["held"] > 1.2 * both
 
 
 def fastest(mission, rng, *, pieces=8):

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.benchmark.missions import bounds_of, load_mission
 from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.plugins.task_space.torque_against_momentum import angular_momentum
 from ffsm_drake.runs.metrics import drift_metrics
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.spacecraft.craft import make_nominal_plant
-from ffsm_drake.spacecraft.mission import make_mission
 
 # ETS-VII in OnOrbitROS: base, then links: mass, inertia (xx, yy, zz, xy, xz, yz), joint's place,
 # axis, and fixed rotation (axis, quarter turns). Centres of mass stand at the joints.

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from campaign_tools import invoke, run_here, write_spec
 
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.campaign.prediction import predict
 from ffsm_drake.plugins.campaign.spec import load_spec
 from ffsm_drake.plugins.campaign.statistics import agreement, read_table
 from ffsm_drake.plugins.campaign.store import open_store
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import load_scenario
-from ffsm_drake.spacecraft.mission import make_mission
 
 # An ordinary case, one whose payload is three times as heavy as it is thought to be, one that
 # tumbles too fast to be stopped within the limits, and one with parts nearer to each other than

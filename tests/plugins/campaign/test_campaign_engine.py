@@ -9,6 +9,7 @@ from click.testing import CliRunner
 from ffsm_drake import load_scenario
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import CampaignError, FfsmError
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.campaign.cases import make_cases, with_controller
 from ffsm_drake.plugins.campaign.evaluate import Evaluator
 from ffsm_drake.plugins.campaign.plan import plan_text, status_text
@@ -16,7 +17,6 @@ from ffsm_drake.plugins.campaign.prediction import predict_many
 from ffsm_drake.plugins.campaign.run import repeat_run, resume_campaign, start_campaign
 from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_data, why_not_compiled
 from ffsm_drake.plugins.campaign.store import create_store, open_store
-from ffsm_drake.spacecraft.mission import make_mission
 
 needs_compiled = pytest.mark.skipif(bool(why_not_compiled()), reason=why_not_compiled())
 NUMBERS = ("itae", "isv", "peak_effort_joints", "outcome_time", "predicted_radius_starting")

@@ -10,13 +10,13 @@ from campaign_tools import invoke, run_here
 
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.common.errors import CampaignError
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.campaign.cases import make_cases, scenario_of
 from ffsm_drake.plugins.campaign.spec import load_spec, shipped_campaigns
 from ffsm_drake.plugins.campaign.statistics import find
 from ffsm_drake.plugins.campaign.store import open_store
 from ffsm_drake.plugins.design.stability.planned_dynamics import make_demand
 from ffsm_drake.plugins.design.stability.prediction import predict
-from ffsm_drake.spacecraft.mission import make_mission
 
 SIGMAS = (1e-5, 1e-4)  # rad/s and m/s
 DURATION = 1.0  # s

@@ -6,16 +6,22 @@ import numpy as np
 import pytest
 
 from ffsm_drake import ScenarioError, load_scenario
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.capture.approach import approach_posture, given_approach
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
 from ffsm_drake.plugins.capture.grasping import Aim
 from ffsm_drake.plugins.design.remarks import plan_clearance
-from ffsm_drake.runs.limits import CLEARANCE, INSTANTS, closest_of, distances_in, limits_left
+from ffsm_drake.runs.exceeded_limits import (
+    CLEARANCE,
+    INSTANTS,
+    closest_of,
+    distances_in,
+    limits_left,
+)
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import EMPTY, planned_part
 from ffsm_drake.spacecraft.craft import make_nominal_plant
-from ffsm_drake.spacecraft.mission import make_mission
-from ffsm_drake.systems.limits import actuation_limit
+from ffsm_drake.systems.mission_limits import actuation_limit
 from ffsm_drake.systems.reference import make_motion
 
 CLEAR = ["capture.approach.start=clear", "sample_time=0.02"]

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake import RunRecord, load_scenario, override_scenario, simulate
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.numbers import number
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.analysis import analyze
 from ffsm_drake.plugins.capture.contact import coast, planned_contact
 from ffsm_drake.plugins.capture.grasping import seen_from
@@ -26,7 +27,6 @@ from ffsm_drake.scenario import NOTHING, MassProperties, Payload, Scenario
 from ffsm_drake.show.results import results_of
 from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import make_law
 
 SCENARIO = load_scenario("tumbling_capture", ["duration=6", *SHORT])

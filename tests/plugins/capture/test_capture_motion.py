@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.common.so3 import rotation_vector_motion
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.scenario import EMPTY
 from ffsm_drake.spacecraft.craft import make_nominal_plant
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import models_dir
 from ffsm_drake.systems.reference import make_motion
 

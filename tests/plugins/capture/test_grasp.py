@@ -12,13 +12,13 @@ from pydrake.multibody.tree import JacobianWrtVariable, RigidBody
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake.common.errors import ModelError, ScenarioError
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.capture.compliant import compliant_grasp
 from ffsm_drake.plugins.capture.contact import contact_at, planned_contact, target_twist
 from ffsm_drake.plugins.capture.plastic import plastic_grasp
 from ffsm_drake.scenario import MassProperties, Scenario, inertia_matrix, load_scenario
 from ffsm_drake.spacecraft.craft import make_true_plant
 from ffsm_drake.spacecraft.mass_properties import set_payload, spatial_inertia
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 
 AXIS = np.array([0.6, 0.48, 0.64])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario, make_nominal_plant, simulate
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.capture.approach import planned_approach
 from ffsm_drake.plugins.capture.contact import planned_contact
-from ffsm_drake.spacecraft.mission import make_mission
 
 IDEAL = (
     "payload.nominal={mass: 100, inertia: [16.7, 16.7, 16.7]}",

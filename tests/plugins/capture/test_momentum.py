@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import RunRecord, ScenarioError, load_scenario, simulate
 from ffsm_drake.common.numbers import number
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.capture import momentum
 from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.plugins.capture.momentum import MomentumBudget, momentum_budget, momentum_lines
@@ -19,7 +20,6 @@ from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import models_dir
 

@@ -9,10 +9,10 @@ from numpy.testing import assert_allclose
 
 from ffsm_drake import BlockError, RunRecord, ScenarioError, load_scenario, simulate
 from ffsm_drake.common.so3 import matrix_of
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.capture.grasping import Aim
 from ffsm_drake.plugins.design.stability.mission import linear_verdict
 from ffsm_drake.runs.metrics import phases_of
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.reference import make_motion
 
 HERE = f"python_path=[{Path(__file__).parent}]"

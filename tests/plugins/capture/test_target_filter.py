@@ -12,6 +12,7 @@ from scipy.stats import chi2
 
 from ffsm_drake import load_scenario, make_nominal_plant
 from ffsm_drake.common.so3 import matrix_of
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.contact import coast
 from ffsm_drake.plugins.capture.free_body import (
     SIZE,
@@ -30,7 +31,6 @@ from ffsm_drake.scenario import (
     inertia_matrix,
 )
 from ffsm_drake.scenario.capture import Compliance
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.systems.sampled import Now
 from ffsm_drake.systems.setup import BlockSetup

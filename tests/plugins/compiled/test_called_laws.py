@@ -15,9 +15,9 @@ from ffsm_drake import ControlLaw, RunRecord, gain, simulate_many
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.compiled.sample import TracedSample
 from ffsm_drake.runs.engine import NotCovered
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.nominal import PlantModel
 
 CALLS, HEAVY = [], 600.0  # kg

@@ -9,6 +9,7 @@ from compiled_equations import of_copies, text_of_traced
 from ffsm_drake import load_scenario
 from ffsm_drake.common.so3 import composed, cross_of, matrix_of, quaternion_of
 from ffsm_drake.loop.blocks import GRIPPER
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.contact_force import Jaws
 from ffsm_drake.plugins.capture.gripper import MOTION, Gripper
 from ffsm_drake.plugins.compiled.case import Case
@@ -22,7 +23,6 @@ from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.rollout import Leg, Rollout
 from ffsm_drake.scenario import EMPTY
 from ffsm_drake.scenario.capture import Compliance
-from ffsm_drake.spacecraft.mission import Mission
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
 SAMPLES = 30

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from compared_runs import of_seeds
 
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.case import case_of
 from ffsm_drake.plugins.compiled.engine import _kernel
@@ -13,7 +14,6 @@ from ffsm_drake.plugins.compiled.kernel import LaneState
 from ffsm_drake.plugins.compiled.plans import plans_of
 from ffsm_drake.plugins.compiled.run import run_of
 from ffsm_drake.runs.rollout import Leg, Rollout
-from ffsm_drake.spacecraft.mission import Mission
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
 LANES = 3

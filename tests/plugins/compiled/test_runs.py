@@ -9,13 +9,13 @@ import pytest
 from compared_runs import check
 
 from ffsm_drake import FfsmError, load_scenario, simulate_many
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.campaign.cases import with_controller
 from ffsm_drake.plugins.compiled import engine
 from ffsm_drake.plugins.compiled.noise import noise_of
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.spacecraft.craft import make_nominal_plant
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.sensing.errors import SensorErrors
 
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario
+from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.plugins.compiled.sample import TracedSample
 from ffsm_drake.plugins.design.stability import linearization
 from ffsm_drake.plugins.design.stability.linear_settings import without_limits
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.sampled_loop import SampledLoop, traced_sample
 from ffsm_drake.scenario import HELD
-from ffsm_drake.spacecraft.mission import Mission, make_mission
 
 LAWS = (
     "tde_aismc", "aismc", "asmc", "tdc", "computed_torque", "pd_plus", "super_twisting",

@@ -7,8 +7,8 @@ import pytest
 from compared_runs import check, of_seeds
 
 from ffsm_drake import simulate_many
+from ffsm_drake.mission import make_mission
 from ffsm_drake.runs.metrics import phases_of
-from ffsm_drake.spacecraft.mission import make_mission
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
 SHIPPED = {

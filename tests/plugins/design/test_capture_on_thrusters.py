@@ -14,9 +14,9 @@ from ffsm_drake import load_scenario, simulate, simulate_many
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.load import advice, predicted_load
 from ffsm_drake.plugins.design.verdict import helpful_remarks, verdict
-from ffsm_drake.runs.limits import CLEARANCE
+from ffsm_drake.runs.exceeded_limits import CLEARANCE
 from ffsm_drake.scenario import override_scenario
-from ffsm_drake.systems.limits import base_limits
+from ffsm_drake.systems.mission_limits import base_limits
 
 AXIS = np.array([0.6, 0.48, 0.64])
 

@@ -12,13 +12,13 @@ from click.testing import CliRunner
 
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.cli import main
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.design.gains import design
 from ffsm_drake.plugins.design.limit import find_limit
 from ffsm_drake.plugins.design.stability import stability
 from ffsm_drake.plugins.design.stability.planned_dynamics import make_demand
 from ffsm_drake.plugins.design.stability.prediction import predict
 from ffsm_drake.show.results import results_of
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.sensing.part import make_sensing
 
 

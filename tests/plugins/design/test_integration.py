@@ -12,7 +12,7 @@ from pydrake.systems.primitives import Integrator, Sine
 
 from ffsm_drake import load_scenario, override_scenario, simulate
 from ffsm_drake.plugins.design.remarks import plan_remarks
-from ffsm_drake.runs.limits import run_remarks
+from ffsm_drake.runs.exceeded_limits import run_remarks
 
 STEP = 0.01
 SCENARIO = load_scenario("postcapture", ["duration=1"])

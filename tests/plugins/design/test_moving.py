@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario, simulate
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.moving import MotionStability, motion_stability
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
-from ffsm_drake.spacecraft.mission import make_mission
 
 
 def pd_plus_between_postures(*overrides):

@@ -13,6 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ffsm_drake import load_scenario, override_scenario, simulate
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.design.stability import rehearsal, stability
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.rehearsal import (
@@ -23,9 +24,8 @@ from ffsm_drake.plugins.design.stability.rehearsal import (
 )
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.runs.ending import Ending
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
-from ffsm_drake.systems.limits import actuation_limit, base_limits
+from ffsm_drake.systems.mission_limits import actuation_limit, base_limits
 from ffsm_drake.systems.reference import timed
 
 

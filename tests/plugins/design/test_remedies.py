@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.design.remarks import plan_limits
 from ffsm_drake.plugins.design.remedies import remedies
 from ffsm_drake.plugins.design.stability.mission import linear_verdict
@@ -11,7 +12,6 @@ from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.scenario import override_scenario
 from ffsm_drake.spacecraft.craft import Craft, make_true_plant
 from ffsm_drake.spacecraft.limits import POSITION, tightest
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import coordinates_of
 
 # base, overrides, a key that is among what helps

@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 
 from ffsm_drake import load_scenario, make_nominal_plant, make_true_plant, simulate
 from ffsm_drake.cli import main
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.design.stability import (
     adaptation_remark,
     stability,
@@ -27,7 +28,6 @@ from ffsm_drake.plugins.estimators.filter_gains import kalman_gain
 from ffsm_drake.plugins.estimators.kalman import KalmanEstimator
 from ffsm_drake.runs.simulate import StabilityWarning
 from ffsm_drake.spacecraft.inertia import inertia_ratios
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers import make_law
 

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from ffsm_drake import load_scenario
-from ffsm_drake.runs.limits import run_remarks
+from ffsm_drake.runs.exceeded_limits import run_remarks
 from ffsm_drake.runs.simulate import make_record, prepare
 
 CASES = yaml.safe_load(Path(__file__).with_name("verdict_cases.yaml").read_text())["cases"]

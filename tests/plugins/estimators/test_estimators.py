@@ -11,6 +11,7 @@ from refusals import assert_refused
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario, make_nominal_plant
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.estimators.coupled import CoupledEstimator
 from ffsm_drake.plugins.estimators.filter_gains import (
@@ -22,7 +23,6 @@ from ffsm_drake.plugins.estimators.filter_gains import (
 from ffsm_drake.plugins.estimators.kalman import KalmanEstimator, LateKalmanEstimator
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import ESTIMATOR_KINDS
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import Sample, gain_vectors
 from ffsm_drake.systems.controllers.estimation import (
     ESTIMATORS,

@@ -16,7 +16,7 @@ from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
 from ffsm_drake.plugins.faults.detection import KINDS
 from ffsm_drake.plugins.faults.thruster_watch import suspect
 from ffsm_drake.plugins.faults.windows import slope_of
-from ffsm_drake.runs.limits import run_remarks
+from ffsm_drake.runs.exceeded_limits import run_remarks
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import Thrusters
 from ffsm_drake.spacecraft.coordinates import position_error

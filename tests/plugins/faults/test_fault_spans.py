@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ffsm_drake import ScenarioError, load_scenario, simulate
-from ffsm_drake.runs.limits import run_remarks
+from ffsm_drake.runs.exceeded_limits import run_remarks
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import Fault, thrusters_of
 from ffsm_drake.spacecraft.coordinates import position_error

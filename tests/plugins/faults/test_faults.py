@@ -20,7 +20,7 @@ from ffsm_drake import (
 )
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.verdict import verdict
-from ffsm_drake.runs.limits import run_remarks
+from ffsm_drake.runs.exceeded_limits import run_remarks
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import Fault, Faults, thrusters_of
 from ffsm_drake.spacecraft.coordinates import position_error

@@ -16,7 +16,7 @@ pytest.importorskip("fmpy", reason="needs FMPy, to drive FMUs")
 from driven_fmu import Driven
 from fmpy.fmi1 import FMICallException
 
-from ffsm_drake.spacecraft.mission import Mission
+from ffsm_drake.mission import Mission
 
 needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 pytestmark = needs_compiler

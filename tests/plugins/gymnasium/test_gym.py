@@ -15,10 +15,10 @@ gymnasium = pytest.importorskip("gymnasium", reason="needs gymnasium, an extra")
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
+from ffsm_drake.mission import make_mission  # noqa: E402
 from ffsm_drake.plugins.gymnasium.environment import MissionEnv  # noqa: E402
 from ffsm_drake.plugins.gymnasium.vector import MissionVectorEnv  # noqa: E402
 from ffsm_drake.spacecraft.craft import make_nominal_plant  # noqa: E402
-from ffsm_drake.spacecraft.mission import make_mission  # noqa: E402
 
 
 def flown(env, seed, action=None):

@@ -15,6 +15,7 @@ from outside_urdfs import joint, link, robot, simple_arm
 
 from ffsm_drake.cli import main
 from ffsm_drake.common.numbers import rounded_up
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.design.verdict import Verdict
 from ffsm_drake.plugins.new import result
 from ffsm_drake.plugins.new.asked import Asked
@@ -22,7 +23,6 @@ from ffsm_drake.plugins.new.first_scenario import new_scenario
 from ffsm_drake.plugins.new.urdf.servicer import read_urdf
 from ffsm_drake.scenario import load_scenario, scenario_to_dict
 from ffsm_drake.spacecraft.craft import Craft, make_true_plant
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.reference import make_motion
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "20"))

@@ -15,6 +15,7 @@ from outside_urdfs import OUTSIDE, simple_arm
 
 from ffsm_drake import load_scenario
 from ffsm_drake.common.errors import FfsmError, ScenarioError
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.plugins.new.asked import Asked, WheelData
 from ffsm_drake.plugins.new.first_scenario import new_scenario
@@ -24,8 +25,7 @@ from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import thrusters_of
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.craft import make_true_plant
-from ffsm_drake.spacecraft.mission import make_mission
-from ffsm_drake.systems.limits import base_limits
+from ffsm_drake.systems.mission_limits import base_limits
 from ffsm_drake.systems.reference import make_motion
 
 ALL = {

@@ -20,6 +20,7 @@ from steps_seen import steps_seen
 
 from ffsm_drake import load_scenario, make_true_plant
 from ffsm_drake.cli import main
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.design.stability import stability
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics
 from ffsm_drake.plugins.new.first_scenario import new_scenario
@@ -27,7 +28,6 @@ from ffsm_drake.plugins.new.urdf.mounting import make_bus
 from ffsm_drake.plugins.new.urdf.servicer import read_urdf
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import base_body
 
 # Final error, rad or m, held after a motion of a quarter of the planned duration (PD+: of half of

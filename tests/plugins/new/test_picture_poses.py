@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake.cli import main
 from ffsm_drake.plugins.new.urdf.servicer import read_urdf
 from ffsm_drake.plugins.new.urdf.writing import write_urdf
-from ffsm_drake.runs.limits import not_measured
+from ffsm_drake.runs.exceeded_limits import not_measured
 from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.spacecraft.clearance import Clearance
 

@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ffsm_drake import ScenarioError, load_scenario, simulate
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.design.remarks import plan_clearance, plan_remarks
 from ffsm_drake.plugins.planning.curve import spline_basis
-from ffsm_drake.plugins.planning.limits import Margin
+from ffsm_drake.plugins.planning.motion_limits import Margin
 from ffsm_drake.plugins.planning.planner import PlanningError, plan_motion
-from ffsm_drake.runs.limits import saturation
+from ffsm_drake.runs.exceeded_limits import saturation
 from ffsm_drake.runs.simulate import LimitWarning, prepare
 from ffsm_drake.spacecraft.craft import make_nominal_plant
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.plan import Plan, load_plan
 from ffsm_drake.systems.reference import make_motion
 

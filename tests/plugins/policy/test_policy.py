@@ -18,8 +18,8 @@ pytest.importorskip("onnxruntime", reason="needs onnxruntime, an extra")
 
 from networks import linear_policy, metadata_of, network  # noqa: E402
 
+from ffsm_drake.mission import Mission, make_mission  # noqa: E402
 from ffsm_drake.spacecraft.craft import make_nominal_plant  # noqa: E402
-from ffsm_drake.spacecraft.mission import Mission, make_mission  # noqa: E402
 
 GAINS = {"base_rotation": (300.0, 600.0), "base_position": (300.0, 600.0), "joints": (30.0, 60.0)}
 SCALE = 1000.0

@@ -12,13 +12,13 @@ from pydrake.trajectories import PiecewisePolynomial
 from scipy.linalg import solve_discrete_are
 
 from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.planning.tvlqr import discretized, linearized, moved
 from ffsm_drake.plugins.task_space.torque_against_momentum import angular_momentum
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.scenario import load_scenario
 from ffsm_drake.spacecraft.coordinates import error_rate, position_error
 from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import make_controller, make_law
 from ffsm_drake.systems.reference import make_motion
 

@@ -6,8 +6,8 @@ from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import ScenarioError, load_scenario, make_nominal_plant, make_true_plant, simulate
 from ffsm_drake.loop.closed_loop import make_closed_loop
+from ffsm_drake.mission import make_mission
 from ffsm_drake.spacecraft.free_floating import driven_model, free_floating
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import make_law
 from ffsm_drake.systems.reference import make_motion
 

@@ -8,13 +8,13 @@ from consistent_motions import assert_consistent, parts_of
 from numpy.testing import assert_allclose
 
 from ffsm_drake import load_scenario, simulate
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.plugins.design.remarks import plan_remarks
 from ffsm_drake.plugins.task_space.resolved_motion import damped_inverse
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.spacecraft.free_floating import free_floating
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.reference import make_motion
 
 ARM_ALONE = ["actuation.driven=[joints]"]

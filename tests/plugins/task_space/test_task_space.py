@@ -11,6 +11,7 @@ from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import BlockError, load_scenario
 from ffsm_drake.loop.closed_loop import make_closed_loop
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.design.gains import design
 from ffsm_drake.plugins.design.stability.boundaries import with_gains
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
@@ -21,7 +22,6 @@ from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
 from ffsm_drake.spacecraft.free_floating import FreeFloating, free_floating
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers import complete_gains, controller_setup, make_law
 from ffsm_drake.systems.controllers.law import Sample

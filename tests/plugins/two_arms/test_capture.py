@@ -7,11 +7,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from ffsm_drake import ScenarioError, load_scenario, make_nominal_plant, make_true_plant, simulate
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.capture.approach import planned_approach
 from ffsm_drake.plugins.capture.contact import contact_at, planned_contact
 from ffsm_drake.plugins.two_arms.motion import closed_chain
 from ffsm_drake.runs.phases import make_rollout
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.spacecraft.plant import find_body, find_frame
 
 TURN = np.deg2rad(3.0)

@@ -9,13 +9,13 @@ from numpy.testing import assert_allclose
 from scipy.linalg import null_space
 
 from ffsm_drake import RunRecord, Scenario, ScenarioError, load_scenario, make_true_plant, simulate
+from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.plugins.two_arms.contact import ContactForce
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import Grip
 from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.spacecraft.craft import make_nominal_plant
-from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.systems.controllers import PAPER_LAWS
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.setup import BlockSetup

@@ -17,12 +17,12 @@ from ffsm_drake import (
     make_nominal_plant,
     simulate,
 )
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.plugins.two_arms.growth import growth
-from ffsm_drake.runs.limits import broken_limits
+from ffsm_drake.runs.exceeded_limits import broken_limits
 from ffsm_drake.scenario import PerCoordinate
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.controllers import PAPER_LAWS, controller_names
 
 CALIBRATION = (  # 1 mrad of each encoder, 1 mm at the hand

@@ -16,9 +16,9 @@ from ffsm_drake import (
     simulate,
 )
 from ffsm_drake.loop.closed_loop import ClosedLoop
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.spacecraft.craft import make_true_plant
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.start import state_at_start
 
 NQ, NV = 19, 18

@@ -9,8 +9,8 @@ from drawn_arms import ARMS, two_arms
 from numpy.testing import assert_allclose
 
 from ffsm_drake import Scenario, ScenarioError, load_scenario, make_nominal_plant, simulate
+from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
-from ffsm_drake.spacecraft.mission import make_mission
 from ffsm_drake.systems.reference import make_motion
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.free_body import Target
 from ffsm_drake.plugins.capture.grasping import Aim, Meeting, target_at
 from ffsm_drake.plugins.capture.modes import Mode
@@ -15,7 +16,6 @@ from ffsm_drake.plugins.capture.tracked_target import Approached, TrackedTarget
 from ffsm_drake.runs.ending import MISSED, Outcome
 from ffsm_drake.runs.phases import Phase, Situation
 from ffsm_drake.scenario import EMPTY, Capture, Grip, Posture, Scenario
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.planned_motion import InTurn, PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion

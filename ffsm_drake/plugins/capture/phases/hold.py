@@ -8,10 +8,10 @@ from scipy.interpolate import CubicSpline
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.settings import setting
 from ffsm_drake.common.so3 import matrix_of
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
 from ffsm_drake.runs.phases import Phase
 from ffsm_drake.scenario.resolving import build_settings
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.setup import BlockSetup

@@ -7,10 +7,10 @@ import numpy as np
 
 from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.common.guard import calling
+from ffsm_drake.mission import Mission, planned
 from ffsm_drake.plugins.capture.displacement import Joined
 from ffsm_drake.runs.phases import Phase
 from ffsm_drake.scenario import EMPTY, Scenario
-from ffsm_drake.spacecraft.mission import Mission, planned
 from ffsm_drake.systems.planned_motion import InTurn, PlannedMotion
 from ffsm_drake.systems.registry import call_factory, find_factory
 from ffsm_drake.systems.setup import BlockSetup

@@ -10,6 +10,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 
 from ffsm_drake.common.numbers import number
 from ffsm_drake.common.so3 import matrix_of
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.approach import (
     approach_posture,
     gentle_duration,
@@ -21,12 +22,11 @@ from ffsm_drake.plugins.capture.grasping import Aim
 from ffsm_drake.plugins.capture.phases.chase import Chase, Move, met, phase_of, replaced
 from ffsm_drake.plugins.capture.target_filter import Path
 from ffsm_drake.runs.ending import MISSED
-from ffsm_drake.runs.limits import closest_of
+from ffsm_drake.runs.exceeded_limits import closest_of
 from ffsm_drake.runs.phases import Phase, PhaseKind, Situation
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import EMPTY, Posture
 from ffsm_drake.scenario.capture import Retreat as Settings
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.plant import base_body, base_rpy, configuration, posture_of
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion

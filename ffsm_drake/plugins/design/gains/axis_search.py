@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import fmin
 
 from ffsm_drake.common.memo import memoized
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.design.gains.requirement import DesignPoint, Requirement
 from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.design.stability.linear_settings import smooth_sensing
@@ -21,7 +22,6 @@ from ffsm_drake.scenario import (
     scenario_from_dict,
     scenario_to_dict,
 )
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import make_law
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 

@@ -30,6 +30,7 @@ from ffsm_drake.common.interrupts import current, interruptible
 from ffsm_drake.common.numbers import counted, number
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.design.gains.axis_search import (
     LARGEST_RADIUS,
     AxisSearch,
@@ -56,10 +57,9 @@ from ffsm_drake.plugins.design.stability.prediction import Prediction, predict_n
 from ffsm_drake.plugins.design.stability.rehearsal import rehearse
 from ffsm_drake.scenario import Scenario, checked
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import complete_gains
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
-from ffsm_drake.systems.limits import actuation_limit
+from ffsm_drake.systems.mission_limits import actuation_limit
 
 # Confirming a choice takes at least this many evaluations, and s beyond the expected time.
 _CONFIRMING, _GRACE = 4.0, 1.0

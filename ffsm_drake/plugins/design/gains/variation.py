@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.design.gains.requirement import DesignPoint, Requirement
 from ffsm_drake.plugins.design.rounding import rounded_by_group
 from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
 from ffsm_drake.spacecraft.craft import Craft
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers import declared_gains, make_law
 
 # Prices of effort, and factors by which gains are varied.

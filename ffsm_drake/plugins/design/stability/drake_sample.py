@@ -13,11 +13,11 @@ from pydrake.systems.primitives import RandomSource
 from ffsm_drake.common.lifetime import untie
 from ffsm_drake.loop.blocks import FROM_ACTUATORS
 from ffsm_drake.loop.closed_loop import make_closed_loop
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.actuators.drives import FRICTION
 from ffsm_drake.plugins.design.stability.discrete_groups import Groups
 from ffsm_drake.plugins.design.stability.linear_loop import NotLinear, TooLarge
 from ffsm_drake.scenario import Grip, MassProperties
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers.law import ControlLaw, is_shipped
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.registry import Factory

@@ -7,10 +7,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.estimators.assumed_noise import assumed_noise
 from ffsm_drake.scenario import Actuation, Drives, Estimator, PerCoordinate, Scenario, Sensing
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.mission import Mission
 
 _T = TypeVar("_T", Actuation, Drives)
 # Settings of actuation and drives without a derivative: the linear loop has their defaults.

@@ -18,6 +18,7 @@ from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of
+from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.plugins.actuators.mean import make_mean_actuation
 from ffsm_drake.plugins.design.stability.drake_sample import DrakeSample
 from ffsm_drake.plugins.design.stability.linear_loop import (
@@ -35,7 +36,6 @@ from ffsm_drake.plugins.design.stability.sampled_loop import (
 )
 from ffsm_drake.scenario import EMPTY, Grip, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import position_errors
-from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.systems.faults import settle_faults
 from ffsm_drake.systems.reference import make_motion, timed
 from ffsm_drake.systems.registry import Factory

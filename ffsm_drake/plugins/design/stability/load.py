@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
 from ffsm_drake.scenario import Scenario, override_scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, tightest
-from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.systems.controllers import complete_gains, controller_factory, gain_vectors
-from ffsm_drake.systems.limits import actuation_limit, limits_of
+from ffsm_drake.systems.mission_limits import actuation_limit, limits_of
 from ffsm_drake.systems.parts.advice import Advice, GroupLoad, Load
 from ffsm_drake.systems.parts.signals import Signals
 from ffsm_drake.systems.reference import timed

@@ -12,6 +12,7 @@ import numpy as np
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.numbers import number
 from ffsm_drake.loop.blocks import is_rehearsed
+from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.plugins.design.stability.adaptation import (
     axis_law,
     forecast_reaching_gain,
@@ -35,7 +36,6 @@ from ffsm_drake.plugins.design.stability.rehearsal import Rehearsal, rehearse
 from ffsm_drake.plugins.flexible.bodies import VibrationMode
 from ffsm_drake.scenario import Scenario, checked
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.systems.controllers.checked import reaching_gain_of
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 

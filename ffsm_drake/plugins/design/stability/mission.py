@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import Literal
 
 from ffsm_drake.common.steps import step
+from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.plugins.design.stability.adaptation import adapts, reached_gains
 from ffsm_drake.plugins.design.stability.linear_loop import (
     WARM_UP,
@@ -30,7 +31,6 @@ from ffsm_drake.plugins.design.stability.moving import (
 )
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import closing_contacts, closing_times
-from ffsm_drake.spacecraft.mission import Mission, make_mission
 from ffsm_drake.systems.closed_chains import CLOSED_CHAINS
 
 Leg = Literal["approach", "stop", "motion"]

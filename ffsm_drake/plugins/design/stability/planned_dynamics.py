@@ -7,13 +7,13 @@ import functools
 
 import numpy as np
 
+from ffsm_drake.mission import Mission, kept
 from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.scenario import WHOLE, Grip
 from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.inertia import inertia_ratios
-from ffsm_drake.spacecraft.mission import Mission, kept
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.disturbance import force_at, sines_of
 from ffsm_drake.systems.reference import make_motion

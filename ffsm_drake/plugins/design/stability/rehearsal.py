@@ -15,6 +15,7 @@ import numpy as np
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.numbers import counted, percent, rounded_up, short
 from ffsm_drake.common.steps import step
+from ffsm_drake.mission import Mission, kept, make_mission
 from ffsm_drake.plugins.design.stability.load import saturated_shares
 from ffsm_drake.plugins.design.stability.planned_dynamics import from_grasp
 from ffsm_drake.runs.batches import run_many, usual_batch
@@ -23,8 +24,7 @@ from ffsm_drake.runs.engine import Engine, find_engine
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.mission import Mission, kept, make_mission
-from ffsm_drake.systems.limits import actuation_limit, base_limits
+from ffsm_drake.systems.mission_limits import actuation_limit, base_limits
 from ffsm_drake.systems.reference import timed
 
 # noise sequences: with actuators of the base; with ``actuation.limit``; on Drake or with a law

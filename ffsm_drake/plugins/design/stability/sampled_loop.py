@@ -15,11 +15,11 @@ from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
 from ffsm_drake.common.registrations import Registry
 from ffsm_drake.common.so3 import quaternion_rate
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.design.stability.drake_sample import DrakeSample
 from ffsm_drake.plugins.design.stability.linear_loop import WARM_UP, SampleMap
 from ffsm_drake.plugins.design.stability.users_period import period_of
 from ffsm_drake.scenario import Grip, MassProperties
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.controllers.law import is_shipped
 
 # From Drake's loop after ``WARM_UP`` samples, as a share of the state's largest entry.

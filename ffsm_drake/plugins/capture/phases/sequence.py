@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.loop.blocks import GRIPPER
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.grasping import Aim, MadeGrasp, grasped_at_start, with_grasp
 from ffsm_drake.plugins.capture.gripper import MOTION
 from ffsm_drake.plugins.capture.phases.approach import CONTACTS, Approach
@@ -27,7 +28,6 @@ from ffsm_drake.plugins.capture.target_filter import Path
 from ffsm_drake.plugins.capture.tracked_target import drawn_path
 from ffsm_drake.runs.log import GraspLog, RunLog
 from ffsm_drake.runs.phases import HeldLoops, Phase, PhaseKind, Phases, Show, Situation
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.registry import Factory
 
 

@@ -105,7 +105,7 @@ def failed(blocks, *overrides):
             "forces.raise",
             Raises,
             r"blocks.forces.raise 'Raises' failed at t = 0.\d\d s: ZeroDivisionError: .* "
-            r"\(in Raises.value: .*test_blame.py, line \d+\)",
+            r"\(in Raises.value: .*test_failed_block.py, line \d+\)",
         ),
         (
             "controller",

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from ffsm_drake.common.numbers import number
+from ffsm_drake.mission import Mission
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, Limit
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.registry import base_actuators, section_parts
 

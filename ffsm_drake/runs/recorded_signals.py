@@ -12,12 +12,12 @@ _of_plant = functools.partial(Signal, held=False)
 _vector = functools.partial(_of_plant, dimension="axis")
 _errors = functools.partial(_of_plant, dimension="coordinate")
 # Name -> variable; those of ``sampled`` for some control laws only.
-SIGNALS = {
+RECORDED_SIGNALS = {
     each.name: each
     for each in (
         *state_signals("state", "", "generalized positions q", "generalized velocities v"),
-        *sensing.SIGNALS,
-        *reference.SIGNALS,
+        *sensing.MEASUREMENT_SIGNALS,
+        *reference.REFERENCE_SIGNALS,
         _errors(
             name="error", unit=UNIT,
             meaning="true tracking error e = q_d - q (rotation vector in world)",
@@ -36,6 +36,6 @@ SIGNALS = {
             meaning="total angular momentum about the world's origin",
         ),
         _of_plant(name="kinetic_energy", unit="J", meaning="total kinetic energy"),
-        *sampled.SIGNALS,
+        *sampled.LAW_SIGNALS,
     )
 }  # fmt: skip

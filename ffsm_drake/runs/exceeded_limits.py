@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ffsm_drake.common.numbers import percent, usable
+from ffsm_drake.mission import Mission
 from ffsm_drake.runs.integration import integration_remarks
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import phases_of
@@ -19,9 +20,8 @@ from ffsm_drake.scenario import Fault, Scenario
 from ffsm_drake.spacecraft.clearance import TOLERANCE, Nearest, in_words, shapes_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.systems.faults import settle_faults
-from ffsm_drake.systems.limits import joint_limits, limits_of
+from ffsm_drake.systems.mission_limits import joint_limits, limits_of
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.table import Labelled

@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.mission import Mission
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, tightest
-from ffsm_drake.spacecraft.mission import Mission
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.systems.limits import limits_of
+from ffsm_drake.systems.mission_limits import limits_of
 
 _ACCURACY = 1e-3  # m; of Drake's distances between cylinders
 _SLACK = 1e-3  # relative; allowed excess over a limit between the solver's instants
