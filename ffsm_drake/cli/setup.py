@@ -105,7 +105,7 @@ def validate(
         nearest = "".join(f"; plan: {Closest(**each)}" for each in found.get("nearest", ()))
         joints = counted(len(found["coordinates"]) - NUM_BASE_VELOCITIES, "joint")
         click.echo(f"{name}: valid; {found['controller']}, free base and {joints}{nearest}")
-        for line in lines:
+        for line in (*found["faults"], *lines):
             click.echo(f"{name}: {line}")
     if as_json:
         print_json(results)
@@ -122,6 +122,7 @@ def _validated(
     from ffsm_drake.runs.simulate import check_start
     from ffsm_drake.scenario import load_scenario
     from ffsm_drake.spacecraft.plant import check_pictures
+    from ffsm_drake.systems.faults import faults_in_words
 
     found = dict[str, Any](warnings=[])
     lines = ["no installed plug-in evaluates the mission"]
@@ -139,6 +140,7 @@ def _validated(
         "controller": loop.scenario.controller,
         "coordinates": list(loop.coordinates.names),
         **found,
+        "faults": list(faults_in_words(scenario, loop.coordinates)),
         "warnings": list(dict.fromkeys(told)),
     }, lines
 

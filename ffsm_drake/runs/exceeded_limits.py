@@ -16,7 +16,7 @@ from ffsm_drake.runs.integration import integration_remarks
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.scenario import Fault, Scenario
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.clearance import TOLERANCE, Nearest, in_words, shapes_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
@@ -47,7 +47,7 @@ def run_remarks(record: RunRecord) -> list[str]:
         if fault.time[0] <= time[-1] + 1e-9:  # the run may end early
             found = [name for name in noticed if name.partition(" ")[0] == fault.unit]
             told = "".join(f", detected at {noticed.pop(name):.2f} s" for name in found[:1])
-            remarks.append(f"{fault.unit}: {fault.kind} {_times(fault)}{told}")
+            remarks.append(f"{fault.in_words(record.scenario.sample_time)}{told}")
     remarks += [
         f"{name}: reported as faulty at {at:.2f} s, but it has no fault (false alarm)"
         for name, at in noticed.items()
@@ -57,16 +57,6 @@ def run_remarks(record: RunRecord) -> list[str]:
     if shares:
         remarks.append(f"saturated at actuation.limit: {', '.join(shares)} of the samples")
     return [*remarks, *integration_remarks(record)]
-
-
-def _times(fault: Fault) -> str:
-    """When a fault with a drawn time is there, in words."""
-    begin = fault.time[0]
-    if fault.duration is None:
-        return f"since {begin:.2f} s"
-    if fault.period is None:
-        return f"from {begin:.2f} s to {begin + fault.duration:.2f} s"
-    return f"since {begin:.2f} s, for {fault.duration:.3g} s every {fault.period:.3g} s"
 
 
 def broken_limits(mission: Mission, data: "Labelled") -> list[str]:

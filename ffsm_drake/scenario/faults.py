@@ -49,8 +49,8 @@ class Fault:
     period: float | None = setting(
         None,
         "s",
-        "time from one beginning of an intermittent fault to the next, in whole control samples; "
-        "null: the fault begins once",
+        "time from one beginning of an intermittent fault to the next, rounded up to control "
+        "samples; null: the fault begins once",
         above=0,
     )
     size: float | None = setting(
@@ -74,6 +74,19 @@ class Fault:
         elif samples_of(self.duration, step) >= samples_of(self.period, step):
             problem = f"must exceed the duration, {self.duration:g} s, by a control sample"
             yield f"{key}.period", f"{problem}, not {self.period:g} s; omit it for a lasting fault"
+
+    def in_words(self, sample_time: float) -> str:
+        """A fault with a drawn unit, kind and time: what fails, how, and at which samples."""
+        begin, lasts, every = (
+            math.inf if given is None else sample_time * samples_of(given, sample_time)
+            for given in (self.time[0], self.duration, self.period)
+        )
+        what = f"{self.unit}: {self.kind}"
+        if math.isinf(lasts):
+            return f"{what} since {begin:.2f} s"
+        if math.isinf(every):
+            return f"{what} from {begin:.2f} s to {begin + lasts:.2f} s"
+        return f"{what} since {begin:.2f} s, for {lasts:.3g} s every {every:.3g} s"
 
 
 def samples_of(duration: float, sample_time: float) -> int:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,6 +51,16 @@ def settle_faults(scenario: Scenario, coordinates: Coordinates) -> Scenario:
     }
     faults = dataclasses.replace(scenario.faults, events=events)
     return dataclasses.replace(scenario, faults=faults)
+
+
+def faults_in_words(scenario: Scenario, coordinates: Coordinates) -> Iterator[str]:
+    """The faults of a scenario, with the seed that draws their units, kinds or times."""
+    given, settled = scenario.faults, settle_faults(scenario, coordinates).faults
+    if given is None or settled is None:
+        return
+    for index, (name, fault) in enumerate(settled.events.items()):
+        drawn = f", drawn with seed {_seed(scenario, index)[0]}" * (fault != given.events[name])
+        yield f"fault {name}: {fault.in_words(scenario.sample_time)}{drawn}"
 
 
 def _seed(scenario: Scenario, index: int) -> tuple[int, ...]:

@@ -18,7 +18,7 @@ isolated, and an abort stays requested.
 """
 
 import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -65,25 +65,27 @@ class FaultDetection(Part):
         )
 
     def metrics(self) -> Sequence[Metric]:
-        """Times of detection, and of the ends of faults."""
-        seconds = functools.partial(Metric, unit="s", column="")
+        """Numbers and times of detections, and times of the ends of faults."""
+        by_name = functools.partial(Metric, column="")
         return (
-            seconds(key="faults.noticed", label="Detected", of=_noticed),
-            seconds(key="faults.ended", label="Detected end", of=_ended),
+            by_name(key="faults.noticed", unit="s", of=lambda run: _noticed(run, min)),
+            by_name(key="faults.noticed_last", unit="s", of=lambda run: _noticed(run, max)),
+            by_name(key="faults.detections", unit="1", of=lambda run: _noticed(run, len)),
+            by_name(key="faults.ended", unit="s", of=_ended),
         )
 
     def sentence(self, figures: Sequence[Figure]) -> str:
         """Detected faults with their times."""
-        found = by_key(figures)
-        noticed, ended = found["faults.noticed"], found["faults.ended"]
-        assert isinstance(noticed, dict)
-        assert isinstance(ended, dict)
-        listed = ", ".join(
-            f"{name} at {time:.2f} s"
-            + (f" (works again since {ended[name]:.2f} s)" if name in ended else "")
-            for name, time in noticed.items()
-        )
-        return f"Faults detected: {listed or 'none'}"
+        noticed, last, detections, ended = by_key(figures).values()
+        listed = list[str]()
+        for name, time in noticed.items():
+            when = f"at {time:.2f} s"
+            if detections[name] > 1:
+                when = f"{detections[name]} times, first {when}, last at {last[name]:.2f} s"
+            if name in ended:
+                when += f" (works again since {ended[name]:.2f} s)"
+            listed.append(f"{name} {when}")
+        return f"Faults detected: {', '.join(listed) or 'none'}"
 
 
 def _changes(run: View) -> Iterator[tuple[str, float, bool]]:
@@ -97,13 +99,13 @@ def _changes(run: View) -> Iterator[tuple[str, float, bool]]:
                     yield f"{unit} {KINDS[int(code)]}", float(run.time[k]), begins
 
 
-def _noticed(run: View) -> dict[str, float]:
-    """Unit and kind -> time of the first detection, s."""
-    found = dict[str, float]()
+def _noticed(run: View, of: Callable[[list[float]], float]) -> dict[str, float]:
+    """Unit and kind -> function ``of`` the times of its detections, s; the first one first."""
+    found = dict[str, list[float]]()
     for name, time, begins in _changes(run):
         if begins:
-            found.setdefault(name, time)
-    return dict(sorted(found.items(), key=lambda item: item[1]))
+            found.setdefault(name, []).append(time)
+    return {name: of(found[name]) for name in sorted(found, key=lambda name: found[name][0])}
 
 
 def _ended(run: View) -> dict[str, float]:

@@ -16,7 +16,9 @@ from ffsm_drake.common.so3 import composed, matrix_of, quaternion_of
 from ffsm_drake.plugins.estimators.assumed_noise import assumed_noise
 from ffsm_drake.scenario import FaultKind, Scenario
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, Coordinates
-from ffsm_drake.systems.faults import BreakingPart, Hit, Occurrence, hits
+from ffsm_drake.systems.faults import BreakingPart, Hit, Occurrence, hits, settle_faults
+from ffsm_drake.systems.parts.metrics import Metric
+from ffsm_drake.systems.parts.signals import Signal, View
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 from ffsm_drake.systems.sensing.block import IS_NEW
 from ffsm_drake.systems.setup import BlockSetup
@@ -88,6 +90,18 @@ def reports_losses(scenario: Scenario) -> bool:
     return any(hit.kind.reports for hit in hits(scenario, FaultySensors.fails_as))
 
 
+def _lost(run: View | BlockSetup, time: np.ndarray) -> dict[str, np.ndarray]:
+    """Sensor, with its name in ``faults`` -> whether a fault lost its samples at times (n), s."""
+    scenario = settle_faults(run.scenario, run.coordinates)
+    samples = np.rint(time / scenario.sample_time).astype(int)
+    found = dict[str, np.ndarray]()
+    for hit in hits(scenario, FaultySensors.fails_as):
+        if hit.kind.reports:
+            name = f"sensing.{hit.unit}"
+            found[name] = found.get(name, False) | hit.occurs.at(samples)
+    return found
+
+
 class FaultySensors(BreakingPart):
     """Sensors affected by ``faults``: the last stage of the section ``sensing``."""
 
@@ -97,6 +111,27 @@ class FaultySensors(BreakingPart):
     def failing_units(cls, scenario: Scenario, coordinates: Coordinates) -> Iterable[str]:
         """Every sensor."""
         return sensors_of(coordinates)
+
+    def signals(self, setup: BlockSetup) -> Sequence[Signal]:
+        """Lost samples of each sensor that loses some."""
+        lost = Signal(
+            name="sample_lost",
+            unit="1",
+            meaning="1: a fault lost this sample of the sensor",
+            components=tuple(_lost(setup, np.zeros(0))),
+            of=lambda run: np.column_stack([*_lost(run, run.time).values()]),
+            heading="",
+        )
+        return (lost,) if lost.components else ()
+
+    def metrics(self) -> Sequence[Metric]:
+        """Numbers of lost samples."""
+
+        def count(run: View) -> dict[str, int]:
+            return {name: lost.sum() for name, lost in _lost(run, run.time).items()}
+
+        key = "faults.samples_lost"
+        return (Metric(key=key, unit="1", label="Samples lost by", column="", of=count),)
 
     def build(self, setup: BlockSetup) -> "SensorFaults":
         """The stage."""

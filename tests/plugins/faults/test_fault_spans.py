@@ -3,16 +3,19 @@ unit works after them.
 """
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ffsm_drake import ScenarioError, load_scenario, simulate
+from ffsm_drake.cli import main
 from ffsm_drake.runs.exceeded_limits import run_remarks
 from ffsm_drake.runs.phases import make_rollout
-from ffsm_drake.scenario import Fault, thrusters_of
+from ffsm_drake.scenario import Fault, scenario_to_yaml, thrusters_of
 from ffsm_drake.spacecraft.coordinates import position_error
 from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.systems.faults import Occurrence, fault_kinds, hits, settle_faults
@@ -192,6 +195,55 @@ def test_lost_samples_are_replaced_and_no_other_fault_is_detected(unit, share):
     data = record.dataset
     error = data["measured_position"].values - data["position"].values
     assert np.abs(error).max() < 6e-3
+
+
+def sentences_of(record):
+    return [part.sentence for part in record.parts]
+
+
+def test_a_fault_that_comes_again_is_counted_with_its_first_and_last_detection():
+    unit, times = "sensing.joint_2", {"time": 0.5, "duration": 0.2, "period": 0.4}
+    record, found = run("silent", unit, "duration=1.6", **times)
+    name = f"{unit} silent"
+    assert found["detections"] == {name: 3}
+    assert found["noticed"][name] == pytest.approx(0.5, abs=0.05)
+    assert found["noticed_last"][name] == pytest.approx(1.3, abs=0.05)
+    (lost, detected) = sentences_of(record)
+    assert lost == f"Faulty sensors: samples lost by {unit} 60"
+    assert detected.startswith(f"Faults detected: {name} 3 times, first at 0.5")
+    assert ", last at 1.3" in detected
+
+
+@pytest.mark.parametrize("unit", ["sensing.joint_2", "sensing"])
+def test_the_record_shows_which_samples_were_lost(unit):
+    overrides = ("duration=0.6", "random_seed=3")
+    event = {"unit": unit, "kind": "dropout", "size": 0.4, "time": 0.2, "duration": 0.2}
+    record = simulate(scenario_with(SENSORS, *overrides, **event), check_stability=False)
+    data = record.dataset
+    (name,) = data["sample_lost_component"].values
+    kind = "velocity" if name.endswith("_velocity") else "position"
+    measured = data[f"measured_{kind}"].values
+    repeats = (np.diff(measured, axis=0, prepend=np.nan) == 0.0).any(axis=1)
+    assert repeats.any()
+    assert np.array_equal(data["sample_lost"].values[:, 0], repeats)
+    assert record.metrics["faults"] == {"samples_lost": {name: repeats.sum()}}
+    assert f"Faulty sensors: samples lost by {name} {repeats.sum()}" in sentences_of(record)
+
+
+@pytest.mark.slow
+def test_validate_prints_the_faults_that_a_run_has(tmp_path):
+    known = {"unit": "sensing.joint_2", "kind": "silent", "time": 0.02, "duration": 0.021}
+    open_ = {"unit": "any", "kind": "any", "time": [0.02, 0.08]}
+    faults = {"events": {"known": known, "open": open_}, "seed": 2}
+    overrides = ("duration=0.1", "disturbance.amplitude_scale=0")
+    scenario = load_scenario(NAME, [{"faults": faults}, *overrides])
+    (tmp_path / "mine.yaml").write_text(scenario_to_yaml(scenario))
+    arguments = ["validate", str(tmp_path / "mine.yaml"), "--no-rehearsal", "--json"]
+    found = json.loads(CliRunner().invoke(main, arguments).stdout)
+    first, second = run_remarks(simulate(scenario, check_stability=False))[:2]
+    assert first == "sensing.joint_2: silent from 0.02 s to 0.05 s"
+    told = [f"fault known: {first}", f"fault open: {second}, drawn with seed 2"]
+    assert found[arguments[1]]["faults"] == told
 
 
 @pytest.mark.parametrize(
