@@ -26,7 +26,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import resolve_package
 from ffsm_drake.systems.continuous import Continuous, InstantSystem
 from ffsm_drake.systems.controllers import make_controller
-from ffsm_drake.systems.controllers.sampled import LAW_SIGNALS
+from ffsm_drake.systems.controllers.controller import LAW_SIGNALS
 from ffsm_drake.systems.faults import settle_faults
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.parts.part import Part

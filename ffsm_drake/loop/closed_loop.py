@@ -45,7 +45,7 @@ from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario, kind_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration
-from ffsm_drake.systems.controllers.sampled import SampledController
+from ffsm_drake.systems.controllers.controller import SampledController
 from ffsm_drake.systems.parts.placed import Parts
 from ffsm_drake.systems.parts.signals import EFFORT, Signal
 from ffsm_drake.systems.registry import Factory

@@ -4,14 +4,14 @@ import functools
 
 from ffsm_drake.loop import closed_loop
 from ffsm_drake.systems import reference
-from ffsm_drake.systems.controllers import sampled
+from ffsm_drake.systems.controllers import controller
 from ffsm_drake.systems.parts.signals import UNIT, Signal, state_signals
 from ffsm_drake.systems.sensing import part as sensing
 
 _of_plant = functools.partial(Signal, held=False)
 _vector = functools.partial(_of_plant, dimension="axis")
 _errors = functools.partial(_of_plant, dimension="coordinate")
-# Name -> variable; those of ``sampled`` for some control laws only.
+# Name -> variable; those of ``controller`` for some control laws only.
 RECORDED_SIGNALS = {
     each.name: each
     for each in (
@@ -36,6 +36,6 @@ RECORDED_SIGNALS = {
             meaning="total angular momentum about the world's origin",
         ),
         _of_plant(name="kinetic_energy", unit="J", meaning="total kinetic energy"),
-        *sampled.LAW_SIGNALS,
+        *controller.LAW_SIGNALS,
     )
 }  # fmt: skip

@@ -17,8 +17,8 @@ from ffsm_drake.plugins.equations.tree import Tree
 from ffsm_drake.plugins.tape.numbers import NotTraceable
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.systems.continuous import Continuous
+from ffsm_drake.systems.controllers.controller import LAW_SIGNALS
 from ffsm_drake.systems.controllers.law_block import LawBlock
-from ffsm_drake.systems.controllers.sampled import LAW_SIGNALS
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.sampled import Sampled, memory_of, phases_of, sized
 

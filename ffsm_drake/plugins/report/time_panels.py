@@ -14,7 +14,7 @@ from ffsm_drake.show.run_charts import (
     position_charts,
     rms_charts,
 )
-from ffsm_drake.systems.controllers.sampled import LAW_SIGNALS
+from ffsm_drake.systems.controllers.controller import LAW_SIGNALS
 
 
 def run_views(results: Sequence[Result]) -> dict[str, list[View]]:

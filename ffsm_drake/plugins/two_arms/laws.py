@@ -25,8 +25,8 @@ from ffsm_drake.scenario.contacts import InternalForce, closing_contacts
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel, stacked
 from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, configuration, find_body
+from ffsm_drake.systems.controllers.controller import OPTIONAL_OUTPUTS
 from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State, WrappedLaw
-from ffsm_drake.systems.controllers.sampled import OPTIONAL_OUTPUTS
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.setup import BlockSetup
 

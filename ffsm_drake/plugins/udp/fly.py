@@ -109,9 +109,7 @@ class Pilot:
             law, is_first = self._controllers[flight.holds].law, True
             memory = controller.resumed(memory, law, inputs["desired_state"])
         with np.errstate(all="ignore"):
-            force, memory = controller.step(
-                inputs, memory, is_first=is_first, time=lambda: request.time
-            )
+            force, memory = controller.step(inputs, memory, is_first=is_first, time=request.time)
         reply = Packet(
             run=request.run, sample=request.sample, time=request.time, flags=0, values=force
         )

@@ -13,6 +13,7 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.closed_chains import CLOSED_CHAINS
+from ffsm_drake.systems.controllers.controller import OPTIONAL_OUTPUTS, SMALLEST, SampledController
 from ffsm_drake.systems.controllers.law import (
     ControlLaw,
     Gain,
@@ -23,7 +24,6 @@ from ffsm_drake.systems.controllers.law import (
     gain_values,
     gains_of,
 )
-from ffsm_drake.systems.controllers.sampled import OPTIONAL_OUTPUTS, SMALLEST, SampledController
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 from ffsm_drake.systems.registry import Factory, block_names, call_factory, find_factory, name_of
 from ffsm_drake.systems.setup import BlockSetup

@@ -17,7 +17,7 @@ from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample,
 
 OWN_STATE = ("generalized_force", "has_previous")  # names that a law's memory cannot have
 _REAL = np.dtype(float)
-Step = Callable[[Sample, State, Callable[[], float]], tuple[np.ndarray, State]]
+Step = Callable[[Sample, State, float], tuple[np.ndarray, State]]  # with the time, s, for errors
 
 
 def has_user_code(law: Any) -> bool:
@@ -123,7 +123,7 @@ def _check_held(held: Mapping[str, Any], memory: Mapping[str, Any], what: str) -
 
 
 def checked_step(law: ControlLaw, place: str) -> Step:
-    """Return the ``step`` of a law, with a function that gives the time (s) for errors.
+    """Return the ``step`` of a law, with its time (s) for errors.
 
     Every result of a user-supplied law is checked, in about half a microsecond if it is valid.
     At its first sample, and the first after a grasp, its inputs are read-only. A shipped law's step
@@ -134,7 +134,7 @@ def checked_step(law: ControlLaw, place: str) -> Step:
         return lambda sample, state, time: own(sample, state)
     untried = True
 
-    def step(sample: Sample, state: State, time: Callable[[], float]) -> tuple[np.ndarray, State]:
+    def step(sample: Sample, state: State, time: float) -> tuple[np.ndarray, State]:
         nonlocal untried
         if untried or sample.is_first:
             untried = False
@@ -146,11 +146,11 @@ def checked_step(law: ControlLaw, place: str) -> Step:
                 return returned
             return _converted(returned, sample.v.shape, state, f"{place}: step")
         except BlockError as error:
-            raise BlockError(f"{error}; at t = {time():.2f} s") from error.__cause__ or error
+            raise BlockError(f"{error}; at t = {time:.2f} s") from error.__cause__ or error
         except BaseException as error:
             if passes(error):
                 raise
-            raise failure(error, place, time()) from error
+            raise failure(error, place, time) from error
 
     return step
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from ffsm_drake.spacecraft.coordinates import Coordinates, tracking_errors
 from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.controllers.checked import Step
 from ffsm_drake.systems.controllers.law import Sample, State
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.sampled import Now, Sampled
@@ -22,14 +23,22 @@ class LawBlock(Sampled):
     """
 
     def __init__(
-        self, law: Any, coordinates: Coordinates, *, errors: Errors = tracking_errors
+        self,
+        law: Any,
+        coordinates: Coordinates,
+        *,
+        errors: Errors = tracking_errors,
+        step: Step | None = None,
     ) -> None:
-        """Args: a law for the coordinates; what computes tracking errors, unless its model does."""
+        """Args: a law for the coordinates; what computes tracking errors, unless its model does;
+        its ``checked_step``, by default its own.
+        """
         self.law, self._num_positions = law, len(coordinates.position_names)
         self._size = len(coordinates.names)
         self._undriven = np.flatnonzero(~coordinates.is_driven) if coordinates.undriven else None
         model = getattr(law, "model", None)
         self._errors = model.calc_tracking_errors if isinstance(model, PlantModel) else errors
+        self._step = step or (lambda sample, memory, time: law.step(sample, memory))
 
     @property
     def inputs(self) -> Mapping[str, int]:
@@ -55,10 +64,10 @@ class LawBlock(Sampled):
 
     def step(self, inputs: State, memory: State, now: Now) -> tuple[State, State]:
         """See Sampled."""
-        force, memory = self.law.step(self.sample(inputs, is_first=now.is_first), memory)
-        return {"generalized_force": self.driven(force)}, memory
+        force, memory = self._step(self._sample(inputs, is_first=now.is_first), memory, now.time)
+        return {"generalized_force": self._driven(force)}, memory
 
-    def sample(self, inputs: State, *, is_first: bool) -> Sample:
+    def _sample(self, inputs: State, *, is_first: bool) -> Sample:
         """What the law reads, from the inputs by name."""
         split, estimated, desired = (
             self._num_positions, inputs["estimated_state"], inputs["desired_state"],
@@ -83,7 +92,7 @@ class LawBlock(Sampled):
             inputs.get("measured_wrench"),
         )
 
-    def driven(self, force: Any) -> Any:
+    def _driven(self, force: Any) -> Any:
         """A law's force, without those on undriven coordinates."""
         if self._undriven is not None:
             force = force.copy()

@@ -1,6 +1,6 @@
 """The system around every control law: sampled, held, all memory in the context."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from pydrake.systems.framework import Context, DiscreteValues, LeafSystem
@@ -13,6 +13,7 @@ from ffsm_drake.systems.controllers.checked import check_law, checked_step, memo
 from ffsm_drake.systems.controllers.law import ControlLaw, State
 from ffsm_drake.systems.controllers.law_block import REQUIRED, LawBlock
 from ffsm_drake.systems.parts.signals import UNIT, Signal
+from ffsm_drake.systems.sampled import Now
 
 SMALLEST = "smallest_singular_value"
 # Memory of a law that becomes an output and is recorded: (nv), or one number without a dimension.
@@ -87,8 +88,7 @@ class SampledController(LeafSystem):
         super().__init__()
         self.set_name(name)
         self.law, self._place = law, place or name
-        self._step = checked_step(law, self._place)
-        self._block = LawBlock(law, coordinates)
+        self._block = LawBlock(law, coordinates, step=checked_step(law, self._place))
         self._restart = self.DeclareVectorInputPort("restart", 1) if restarts else None
         memory = memory_of(law, self._place)
         check_law(law, self._place, memory, len(coordinates.names))
@@ -186,26 +186,20 @@ class SampledController(LeafSystem):
         return inputs, memory
 
     def step(
-        self,
-        inputs: State,
-        memory: State,
-        *,
-        is_first: bool = False,
-        time: Callable[[], float] = float,
+        self, inputs: State, memory: State, *, is_first: bool = False, time: float = 0.0
     ) -> tuple[np.ndarray, State]:
-        """Return the force, and the law's memory after it, from what ``read`` gives; ``time`` gives
-        its time (s), for errors.
+        """Return the force, and the law's memory after it, from what ``read`` gives; ``time`` (s)
+        is for errors.
         """
-        sample = self._block.sample(inputs, is_first=is_first)
-        force, memory = self._step(sample, memory, time)
-        return self._block.driven(force), memory
+        outputs, memory = self._block.step(inputs, memory, Now(time, is_first=is_first))
+        return outputs["generalized_force"], memory
 
     def _update(self, context: Context, discrete_values: DiscreteValues) -> None:
         inputs, before = self.read(context)
         is_first = not context.get_discrete_state().value(self._has_previous).item()
         if self._restart is not None and self._restart.Eval(context).item() > 0.5:
             is_first, before = True, self._first
-        force, memory = self.step(inputs, before, is_first=is_first, time=context.get_time)
+        force, memory = self.step(inputs, before, is_first=is_first, time=context.get_time())
         if is_first:
             discrete_values.set_value(self._has_previous, _ONE)  # values that are not set stay
         discrete_values.set_value(self._force, force)
