@@ -7,6 +7,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.scenario import Scenario, planned_part
+from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.craft import Craft
 
 P = ParamSpec("P")
@@ -46,6 +47,28 @@ class Mission:
     def flown_by(self, **changes: Any) -> "Mission":
         """``of`` the scenario with other values of some fields."""
         return self.of(dataclasses.replace(self.scenario, **changes))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class OfMission:
+    """The closed loop or a run of a mission."""
+
+    mission: Mission
+
+    @property
+    def scenario(self) -> Scenario:
+        """The scenario of the mission."""
+        return self.mission.scenario
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """Names of the known coordinates."""
+        return self.mission.craft.coordinates
+
+    @property
+    def split(self) -> StateSplit:
+        """Known and hidden coordinates of the true plant."""
+        return self.mission.craft.split
 
 
 def make_mission(given: Scenario | Mission) -> Mission:

@@ -40,9 +40,9 @@ from ffsm_drake.loop.blocks import (
     WRENCH,
     make_blocks,
 )
-from ffsm_drake.mission import Mission, make_mission
+from ffsm_drake.mission import Mission, OfMission, make_mission
 from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario, kind_of
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, StateSplit
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers.controller import SampledController
@@ -80,7 +80,7 @@ FORCES = (
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ClosedLoop:
+class ClosedLoop(OfMission):
     """The plant and the connected blocks of a closed loop.
 
     Example:
@@ -92,7 +92,6 @@ class ClosedLoop:
       0
     """
 
-    mission: Mission
     plant: MultibodyPlant  # the true one, with hidden coordinates
     # "reference", "sensing", "controller", "forces.disturbance", other forces; "actuation" unless
     # it is ideal
@@ -102,21 +101,6 @@ class ClosedLoop:
     parts: Parts = dataclasses.field(default_factory=dict)  # parts among ``blocks``
     grip: Grip = HELD  # what holds the target
     diagram: Any = None  # the Diagram, after ``make_closed_loop``; its outputs are the signals
-
-    @property
-    def scenario(self) -> Scenario:
-        """The scenario of a run."""
-        return self.mission.scenario
-
-    @property
-    def coordinates(self) -> Coordinates:
-        """Names of the known coordinates."""
-        return self.mission.craft.coordinates
-
-    @property
-    def split(self) -> StateSplit:
-        """Known and hidden coordinates of the plant."""
-        return self.mission.craft.split
 
     @property
     def tracks_frame(self) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.mission import Mission
+from ffsm_drake.mission import OfMission
 from ffsm_drake.runs.ending import Ending, Outcome, ending_of
 from ffsm_drake.runs.engine import DRAKE
 from ffsm_drake.runs.metrics import tracking_metrics
@@ -20,8 +20,8 @@ from ffsm_drake.runs.tracking import (
     frame_poses,
     tracked_of,
 )
-from ffsm_drake.scenario import MassProperties, Scenario
-from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit, position_errors
+from ffsm_drake.scenario import MassProperties
+from ffsm_drake.spacecraft.coordinates import Coordinates, position_errors
 from ffsm_drake.spacecraft.grasp import Contact
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import ControlLaw
@@ -58,7 +58,7 @@ class GraspLog:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class RunLog:
+class RunLog(OfMission):
     """The time series of one run of a ``Rollout``. A ``RunRecord`` has more derived quantities.
 
     ``series`` has arrays (n, width) by name: ``closed_loop.LOOP_SIGNALS`` without
@@ -73,7 +73,6 @@ class RunLog:
       ((11,), (11, 11))
     """
 
-    mission: Mission
     outcome: Outcome
     time: np.ndarray  # (n,), control samples t_k, s
     series: Mapping[str, np.ndarray]
@@ -100,21 +99,6 @@ class RunLog:
 
     def __contains__(self, name: str) -> bool:
         return name in self.series or any(each.name == name for each in signals_of(self.parts))
-
-    @property
-    def scenario(self) -> Scenario:
-        """The scenario of the run."""
-        return self.mission.scenario
-
-    @property
-    def coordinates(self) -> Coordinates:
-        """Names of the known coordinates."""
-        return self.mission.craft.coordinates
-
-    @property
-    def split(self) -> StateSplit:
-        """Known and hidden coordinates of the true plant."""
-        return self.mission.craft.split
 
     @property
     def whole_states(self) -> np.ndarray:
