@@ -20,11 +20,10 @@ import itertools
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from pydrake.geometry import Mesh, Role, Shape
+from pydrake.geometry import Mesh, Role, SceneGraph, Shape
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Joint, RigidBody
-from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake.common.errors import ModelError, one_line
 from ffsm_drake.common.memo import memoized
@@ -33,7 +32,7 @@ from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.spacecraft.coordinates import HIDDEN, joints_of
 from ffsm_drake.spacecraft.distance import Solids, measures_of
 from ffsm_drake.spacecraft.plant import (
-    add_combined_plant,
+    drawn_plant,
     find_body,
     find_frame,
     flexible_parts,
@@ -123,10 +122,7 @@ class Clearance:
         Raises:
           ModelError: the model does not load, or MuJoCo does not accept its shapes.
         """
-        builder = self._builder = DiagramBuilder()  # keeps the plant
-        self.plant: MultibodyPlant = add_combined_plant(
-            builder, model, apart=apart, flexible=flexible
-        )
+        self.plant: MultibodyPlant = parsed_plant(model, apart=apart, flexible=flexible)
         self.plant_context = self.plant.CreateDefaultContext()
         self._places = _places_in(self.plant)
         self._hands = {
@@ -139,7 +135,8 @@ class Clearance:
         self._bodies = [self.plant.get_body(BodyIndex(i)) for i in range(self.plant.num_bodies())]
         parts = flexible_parts().flexible_bodies(self.plant, model) if model.flexible else ()
         self._shapes, self.unmeasured = list[_Shape](), list[str]()
-        self._gather({body.index(): plate for body, plate in parts}, invented=invented)
+        drawn = drawn_plant(model, flexible=flexible)
+        self._gather(drawn, {body.index(): plate for body, plate in parts}, invented=invented)
         self._shaped = [b for b in self._bodies if any(s.body is b for s in self._shapes)]
         try:
             self._solids = Solids(
@@ -156,11 +153,18 @@ class Clearance:
             frozenset[frozenset[BodyIndex]], tuple[np.ndarray, list[tuple[RigidBody, RigidBody]]]
         ]()
 
-    def _gather(self, is_plate: Mapping[BodyIndex, bool], *, invented: bool) -> None:
+    def _gather(
+        self,
+        drawn: tuple[MultibodyPlant, SceneGraph],
+        is_plate: Mapping[BodyIndex, bool],
+        *,
+        invented: bool,
+    ) -> None:
         """Find the shapes that count, and name those that cannot be measured."""
-        inspector = self._builder.GetSubsystemByName("scene_graph").model_inspector()
+        plant, scene_graph = drawn
+        inspector = scene_graph.model_inspector()
         for body in self._bodies:
-            frame = self.plant.GetBodyFrameIdOrThrow(body.index())
+            frame = plant.GetBodyFrameIdOrThrow(body.index())
             shapes = inspector.GetGeometries(frame, Role.kProximity)
             if is_plate.get(body.index(), not shapes):
                 shapes += inspector.GetGeometries(frame, Role.kIllustration)

@@ -104,21 +104,18 @@ def _package_folders(model: Model) -> dict[str, str]:
 
 
 def add_combined_plant(
-    builder: DiagramBuilder, model: Model, *, apart: str | None = None, flexible: bool = False
+    builder: DiagramBuilder, model: Model, *, flexible: bool = False
 ) -> MultibodyPlant:
     """Add the finalized plant (continuous, no gravity, quaternion floating base) and its scene
     graph to a diagram.
 
-    Contact is not simulated. A body ``apart`` (scoped name) is free: its pose, as a quaternion and
-    a position, follows the spacecraft's configuration. A ``flexible`` plant has the hidden
-    coordinates too (``flexible.py``).
+    Contact is not simulated. A ``flexible`` plant has the hidden coordinates too (``flexible.py``).
 
     Raises:
       ModelError: the directives or URDFs do not load, or do not give one floating base with
         one-degree joints.
     """
-    drawn = _drawn(model, apart=apart, flexible=flexible and bool(model.flexible))
-    plant, scene_graph = (each.Clone() for each in drawn)
+    plant, scene_graph = (each.Clone() for each in drawn_plant(model, flexible=flexible))
     builder.AddNamedSystem("plant", plant)
     builder.AddNamedSystem("scene_graph", scene_graph)
     builder.Connect(
@@ -137,13 +134,19 @@ def _files_if_readable(model: Model) -> tuple[Path, ...]:
         return ()
 
 
-# loading is slow
+def drawn_plant(model: Model, *, flexible: bool = False) -> tuple[MultibodyPlant, SceneGraph]:
+    """Return the plant and the scene graph of ``add_combined_plant``, shared: clone them to
+    change them.
+    """
+    return _drawn(model, flexible=flexible and bool(model.flexible))
+
+
+# loading shapes takes ten times as long as the rest
 @memoized(maxsize=8, files=_files_if_readable)
-def _drawn(model: Model, *, apart: str | None, flexible: bool) -> tuple[MultibodyPlant, SceneGraph]:
-    """Return the plant and the scene graph of ``add_combined_plant``, to be cloned."""
+def _drawn(model: Model, *, flexible: bool) -> tuple[MultibodyPlant, SceneGraph]:
     plant, scene_graph = MultibodyPlant(time_step=0.0), SceneGraph()
     plant.RegisterAsSourceForSceneGraph(scene_graph)
-    load_model(plant, model, apart=apart, flexible=flexible)
+    load_model(plant, model, flexible=flexible)
     if flexible:
         flexible_parts().draw_on_plates(plant, scene_graph, model)
     bodies = [plant.get_body(BodyIndex(index)) for index in range(plant.num_bodies())]
@@ -185,25 +188,29 @@ def check_pictures(model: Model) -> None:
             raise ModelError(f"model: mesh {path}: cannot be drawn: {cause_of(error)}") from error
 
 
-def make_plant(model: Model, *, flexible: bool = False, jointless: bool = False) -> MultibodyPlant:
+def make_plant(
+    model: Model, *, apart: str | None = None, flexible: bool = False, jointless: bool = False
+) -> MultibodyPlant:
     """Return the finalized plant without a diagram, for computations. Arguments and errors: see
-    ``add_combined_plant``. A ``jointless`` plant may lack moving joints.
+    ``load_model``.
     """
     plant = MultibodyPlant(time_step=0.0)
-    load_model(plant, model, flexible=flexible, jointless=jointless)
+    load_model(plant, model, apart=apart, flexible=flexible, jointless=jointless)
     return plant
 
 
-def parsed_plant(model: Model, *, flexible: bool = False) -> MultibodyPlant:
+def parsed_plant(
+    model: Model, *, apart: str | None = None, flexible: bool = False
+) -> MultibodyPlant:
     """Return the plant of ``make_plant``, shared by all that have a context of their own. It is
     parsed again after a change of its files.
     """
-    return _parsed_once(model, flexible=flexible and bool(model.flexible))
+    return _parsed_once(model, apart=apart, flexible=flexible and bool(model.flexible))
 
 
 @memoized(maxsize=8, files=_files_if_readable)
-def _parsed_once(model: Model, *, flexible: bool) -> MultibodyPlant:
-    return make_plant(model, flexible=flexible)
+def _parsed_once(model: Model, *, apart: str | None, flexible: bool) -> MultibodyPlant:
+    return make_plant(model, apart=apart, flexible=flexible)
 
 
 def load_model(
@@ -214,7 +221,11 @@ def load_model(
     flexible: bool = False,
     jointless: bool = False,
 ) -> None:
-    """Parse the model into an empty plant, finalize and check it; see ``add_combined_plant``."""
+    """Parse the model into an empty plant, finalize and check it; see ``add_combined_plant``.
+
+    A body ``apart`` (scoped name) is free: its pose, as a quaternion and a position, follows the
+    spacecraft's configuration. A ``jointless`` plant may lack moving joints.
+    """
     source = _parse(plant, model)
     if apart is not None:
         _free(plant, apart, model)
