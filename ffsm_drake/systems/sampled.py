@@ -32,7 +32,7 @@ class Now(NamedTuple):
     """The control sample at which a block steps."""
 
     time: Any  # s
-    phase: Sequence[Any] = NO_PHASE  # what ``Sampled.phase`` returns for it
+    phase: Sequence[Any] | np.ndarray = NO_PHASE  # what ``Sampled.phase`` returns for it
     is_first: bool = False  # for a control law: no sample before, or a grasp since
 
 

@@ -33,8 +33,8 @@ _COSINE = (
 
 
 def without_angles(
-    tape: Tape, results: Mapping[str, Sequence[Any]]
-) -> tuple[Tape, dict[str, list[Any]]]:
+    tape: Tape, results: Mapping[str, Sequence[Symbol | float]]
+) -> tuple[Tape, dict[str, list[Symbol | float]]]:
     """Return a tape that has sums and products in place of sines and cosines, and the results on
     it.
 

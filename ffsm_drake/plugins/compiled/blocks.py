@@ -6,18 +6,21 @@ Everything that the code depends on stands in ``Blocks``; all else is an input.
 import dataclasses
 import functools
 import itertools
-from collections.abc import Iterable, Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import NamedTuple, TypedDict, TypeVar
 
 import numpy as np
 
 from ffsm_drake.loop.blocks import usual_sizes
 from ffsm_drake.plugins.compiled.schemes import SCHEMES
+from ffsm_drake.plugins.compiled.supervising import Watch
 from ffsm_drake.plugins.equations.tree import Tree
 from ffsm_drake.plugins.tape.numbers import NotTraceable
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.controllers.controller import LAW_SIGNALS
+from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.controllers.law_block import LawBlock
 from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.sampled import Sampled, memory_of, phases_of, sized
@@ -64,7 +67,33 @@ _REQUEST = {"abort_request": "requested_after"}
 _IS_NEW = {"measurement_is_new": "is_new"}
 
 Places = dict[str, tuple[str, int, int]]  # name -> cell at a sample, first entry there, and size
-Parts = Mapping[str, Mapping[str, Any]]  # blocks by kind and name
+Block = TypeVar("Block")
+
+
+class Parts(NamedTuple):
+    """The blocks of a loop beside its law, by name."""
+
+    sensing: Mapping[str, Sampled]  # stages in a row
+    actuation: Mapping[str, Sampled]  # in a row, after limits, quantisation and delay
+    flows: Mapping[str, Continuous]  # beside it
+    forces: Mapping[str, Sampled]
+    last: Mapping[str, Continuous]  # forces that read the sum of all others
+    supervisor: Mapping[str, Sampled]  # its mode logic, if there is one
+
+    @property
+    def stepping(self) -> dict[str, Mapping[str, Sampled]]:
+        """The sampled blocks by kind, in the order of their phases."""
+        return {
+            "sensing": self.sensing,
+            "actuation": self.actuation,
+            "forces": self.forces,
+            "supervisor": self.supervisor,
+        }
+
+
+def frozen(blocks: Mapping[str, Block]) -> Mapping[str, Block]:
+    """Blocks by name that cannot be changed."""
+    return MappingProxyType({**blocks})
 
 
 class Placed(NamedTuple):
@@ -78,11 +107,32 @@ class Placed(NamedTuple):
     phases: slice  # in the row of a sample
 
 
+class Structure(TypedDict):
+    """What the code depends on besides the blocks, by the fields of ``Blocks``."""
+
+    tree: Tree
+    known: tuple[int, ...]
+    hidden: tuple[int, ...]
+    forced: tuple[int, ...]
+    loose: tuple[int, ...]
+    coordinates: Coordinates
+    recorded: tuple[str, ...]
+    num_numbers: int
+    noisy: bool
+    num_drifts: int
+    framed: bool
+    limited: bool
+    quantized: bool
+    waits: int
+    limp: bool
+    scheme: str
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Blocks:
     """The blocks of a loop, as far as the code depends on them."""
 
-    law: Any
+    law: ControlLaw
     num_parameters: int  # of the law
     num_planned: int  # numbers of the law that differ between samples, see ``rows_of``
     tree: Tree  # of the spacecraft
@@ -92,10 +142,8 @@ class Blocks:
     forced: tuple[int, ...]
     loose: tuple[int, ...]  # of its v, hidden ones
     coordinates: Coordinates
-    # the stages of ``sensing`` in a row; ``actuation`` in a row, after limits, quantisation and
-    # delay; ``flows`` beside it; ``forces``; ``last``: forces that read the sum of all others;
-    # ``supervisor``: its block
     parts: Parts
+    watch: Watch | None  # the block of the supervisor
     detector: Sampled | None  # a last stage of sensing that is called, as the law is then
     recorded: tuple[str, ...]  # outputs of actuators, flows, and forces that do not step once
     num_numbers: int  # parameters of the parts
@@ -119,11 +167,6 @@ class Blocks:
         """Number of known velocities."""
         return len(self.coordinates.names)
 
-    @property
-    def watch(self) -> Any:
-        """The supervisor's block, or None."""
-        return self.parts["supervisor"].get("supervisor")
-
     @functools.cached_property
     def memory(self) -> dict[str, np.ndarray]:
         """The law's memory at its start."""
@@ -132,26 +175,24 @@ class Blocks:
     @functools.cached_property
     def acted(self) -> dict[str, int]:
         """Outputs of actuators beside the force, by name: numbers in each."""
-        sizes = [sized(each.outputs, {}, "actuation") for each in self.parts["actuation"].values()]
+        sizes = [sized(each.outputs, {}, "actuation") for each in self.parts.actuation.values()]
         return {name: n for of in sizes for name, n in [*of.items()][1:]}
 
     @functools.cached_property
     def flown(self) -> dict[str, int]:
         """Outputs of the flows, likewise."""
-        return {
-            n: size for each in self.parts["flows"].values() for n, size in each.outputs.items()
-        }
+        return {n: size for each in self.parts.flows.values() for n, size in each.outputs.items()}
 
     @functools.cached_property
     def shown_last(self) -> dict[str, int]:
         """Outputs of last forces beside the force, likewise."""
-        found = {n: size for of in self.parts["last"].values() for n, size in of.outputs.items()}
+        found = {n: size for of in self.parts.last.values() for n, size in of.outputs.items()}
         return {name: size for name, size in found.items() if name != "generalized_force"}
 
     @functools.cached_property
     def fast(self) -> dict[str, Sampled]:
         """The forces that step several times in a sample, or never."""
-        return {name: each for name, each in self.parts["forces"].items() if each.per_sample != 1}
+        return {name: each for name, each in self.parts.forces.items() if each.per_sample != 1}
 
     @functools.cached_property
     def touches(self) -> dict[str, dict[str, np.ndarray]]:
@@ -161,7 +202,7 @@ class Blocks:
     @property
     def has_slow(self) -> bool:
         """Whether a force steps once in a sample."""
-        return len(self.fast) < len(self.parts["forces"])
+        return len(self.fast) < len(self.parts.forces)
 
     @property
     def per_sample(self) -> int:
@@ -178,9 +219,9 @@ class Blocks:
     def sampled(self) -> list[Placed]:
         """The sampled blocks."""
         found, phase, firsts = list[Placed](), 0, dict.fromkeys((*STEPPING.values(), "touched"), 0)
-        for kind, usual in STEPPING.items():
-            for name, block in self.parts[kind].items():
-                cell = "touched" if name in self.fast and kind == "forces" else usual
+        for kind, blocks in self.parts.stepping.items():
+            for name, block in blocks.items():
+                cell = _cell_of(kind, block)
                 phases = slice(phase, phase + len(block.phase(0)))
                 found.append(Placed(kind, name, block, cell, firsts[cell], phases))
                 phase, firsts[cell] = phases.stop, firsts[cell] + total(at_start(block))
@@ -189,7 +230,7 @@ class Blocks:
     @property
     def corrects(self) -> dict[str, int]:
         """The last forces with a correction, which a sample makes: numbers in each."""
-        of = self.parts["last"].items()
+        of = self.parts.last.items()
         sizes = {name: each.inputs.get("correction", 0) for name, each in of}
         return {name: size for name, size in sizes.items() if size}
 
@@ -202,12 +243,12 @@ class Blocks:
     @property
     def pushes_hidden(self) -> bool:
         """Whether a force acts on hidden coordinates."""
-        return any("hidden_force" in force.outputs for force in self.parts["forces"].values())
+        return any("hidden_force" in force.outputs for force in self.parts.forces.values())
 
     @property
     def tells_new(self) -> bool:
         """Whether a stage of sensing tells which measurements are new."""
-        return any("measurement_is_new" in of.outputs for of in self.parts["sensing"].values())
+        return any("measurement_is_new" in of.outputs for of in self.parts.sensing.values())
 
     @property
     def gyrates(self) -> bool:
@@ -217,7 +258,7 @@ class Blocks:
     @property
     def external(self) -> tuple[str, ...]:
         """Names of the forces beside the disturbance."""
-        return (*self.parts["forces"], *self.parts["last"])
+        return (*self.parts.forces, *self.parts.last)
 
     def found(self, name: str) -> int:
         """Numbers in an output of the detector."""
@@ -244,14 +285,14 @@ class Blocks:
         kept = dict.fromkeys((*STEPPING.values(), "touched"), 0)
         for each in self.sampled:
             kept[each.cell] = each.first + total(at_start(each.block))
-        flowing = sum(total(at_start(each)) for each in self.parts["flows"].values())
+        flowing = sum(total(at_start(each)) for each in self.parts.flows.values())
         watched = self.watch is not None
         return {
             "x": len(self.known) + len(self.hidden) + flowing,
             "memory": total(self.memory), "applied": self.nv, "drift": self.num_drifts,
             "waiting": self.waits * self.nv, **kept,
             "touch": sum(map(total, self.touches.values())),
-            "held_before": sum(self.held.values()) if self.parts["last"] or self.gyrates else 0,
+            "held_before": sum(self.held.values()) if self.parts.last or self.gyrates else 0,
             "commanded": watched * self.nv, "requested": watched * self.found("abort_request"),
             "corrected": sum(self.corrects.values()),
         }  # fmt: skip
@@ -377,11 +418,17 @@ def outputs_of(force: Sampled, coordinates: Coordinates) -> dict[str, np.ndarray
     return {name: np.zeros(size) for name, size in sizes.items()}
 
 
-def sampled_of(parts: Parts) -> Iterator[tuple[str, Sampled]]:
+def sampled_of(parts: Parts) -> list[tuple[str, Sampled]]:
     """The sampled blocks with the states that have their memory."""
-    for kind, cell in STEPPING.items():
-        for block in parts[kind].values():
-            yield "touched" if kind == "forces" and block.per_sample != 1 else cell, block
+    return [
+        (_cell_of(kind, block), block)
+        for kind, blocks in parts.stepping.items()
+        for block in blocks.values()
+    ]
+
+
+def _cell_of(kind: str, block: Sampled) -> str:
+    return "touched" if kind == "forces" and block.per_sample != 1 else STEPPING[kind]
 
 
 def phases_at(parts: Parts, samples: int) -> np.ndarray:
@@ -393,12 +440,12 @@ def phases_at(parts: Parts, samples: int) -> np.ndarray:
 
 def kept_at(parts: Parts, state: np.ndarray) -> dict[str, np.ndarray]:
     """The states of the blocks of a spacecraft that was at a state before (n)."""
-    found: dict[str, list[Any]] = {cell: [] for cell in (*STEPPING.values(), "touched")}
+    found: dict[str, list[np.ndarray]] = {cell: [] for cell in (*STEPPING.values(), "touched")}
     for cell, block in sampled_of(parts):
         found[cell] += memory_of(block, state, place=type(block).__name__).values()
     return {cell: row(values) for cell, values in found.items()}
 
 
-def row(values: Iterable[Any]) -> np.ndarray:
+def row(values: Iterable[np.ndarray]) -> np.ndarray:
     """Arrays one after the other."""
     return np.concatenate([np.zeros(0), *map(np.ravel, values)])

@@ -9,7 +9,6 @@ import functools
 import itertools
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -41,7 +40,7 @@ class Laws:
         self._looks = blocks.detector_inputs if detectors else {}
         self._found = blocks.detector_outputs if detectors else {}
 
-    def function(self, cells: np.ndarray, places: Mapping[str, int]) -> Any:
+    def function(self, cells: np.ndarray, places: Mapping[str, int]) -> object:
         """A function of the number of a sample (and another argument), which returns 0 if all runs
         shall end.
 
@@ -50,7 +49,7 @@ class Laws:
         return KIND(functools.partial(self._called, cells, places))
 
     def _called(
-        self, cells: np.ndarray, places: Mapping[str, int], sample: int, other: Any
+        self, cells: np.ndarray, places: Mapping[str, int], sample: int, other: object
     ) -> bool:
         def views(of: Places) -> dict[str, np.ndarray]:
             return {
@@ -117,7 +116,7 @@ class Trial(Laws):
 
         Args: of each lane, rows of its run by the names of ``Blocks.row``.
         """
-        random, made = np.random.default_rng(0), list[Any]()
+        random, made = np.random.default_rng(0), list[object]()
         before = [self._start] * len(planned)
         for sample in range(_TRIED):
             for lane, rows in enumerate(planned):
@@ -154,7 +153,7 @@ class Trial(Laws):
 _as_json = functools.partial(json.dumps, default=np.ndarray.tolist)
 
 
-def parts(sizes: Mapping[Any, int], first: int = 0) -> dict[Any, slice]:
+def parts(sizes: Mapping[str, int], first: int = 0) -> dict[str, slice]:
     """The places of arrays one after the other, from a first one on."""
     ends = itertools.pairwise(itertools.accumulate(sizes.values(), initial=first))
     return {name: slice(*pair) for name, pair in zip(sizes, ends, strict=True)}

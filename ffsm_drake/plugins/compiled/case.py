@@ -4,18 +4,26 @@ import collections
 import copy
 import dataclasses
 import functools
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Hashable, Mapping
 
 import numpy as np
 from pydrake.systems.framework import System
 
 from ffsm_drake.mission import Mission
-from ffsm_drake.plugins.compiled.blocks import kept_at, phases_at, row, sampled_of
+from ffsm_drake.plugins.compiled.blocks import (
+    Block,
+    Parts,
+    Structure,
+    frozen,
+    kept_at,
+    phases_at,
+    row,
+    sampled_of,
+)
 from ffsm_drake.plugins.compiled.kinds import kind_of
 from ffsm_drake.plugins.compiled.noise import Noise, noise_of
 from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of
-from ffsm_drake.plugins.compiled.scenario_blocks import ScenarioBlocks, frozen
+from ffsm_drake.plugins.compiled.scenario_blocks import ScenarioBlocks
 from ffsm_drake.plugins.compiled.schemes import steps_of
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario
@@ -71,7 +79,7 @@ class Case:
         self.samples = scenario.num_control_periods + 1 + further
         self.window = slice(first, self.samples if last is None else last + 1)
         self._gains_are_checked = False
-        self.runs = dict[str, Any]()  # those with a law of this package, by controller
+        self.runs = dict[str, object]()  # those with a law of this package, by controller
         self._errors = SensorErrors(scenario.sensing, self.coordinates, scenario.sample_time)
         self._drift = self._errors.drift()
         settled = mission.of(settle_faults(scenario, self.coordinates))
@@ -83,7 +91,7 @@ class Case:
         phases = tuple(len(block.phase(0)) for _, block in sampled_of(self.parts))
         self.constants = found.constants, self.made.external, phases
         config = scenario.simulator_config
-        parts = max((each.per_sample for each in self.parts["forces"].values()), default=1) or 1
+        parts = max((each.per_sample for each in self.parts.forces.values()), default=1) or 1
         self.steps = steps_of(scenario.sample_time, config.max_step_size, parts)
         if not self.steps:
             raise NotCovered("steps that do not divide a sample")
@@ -111,7 +119,7 @@ class Case:
             "joint_force": np.zeros(0) if joint_force is None else joint_force,
         }
 
-    def _structure(self, num_numbers: int, *, is_limp: bool) -> dict[str, Any]:
+    def _structure(self, num_numbers: int, *, is_limp: bool) -> Structure:
         """What its code depends on but parts and law, by the names of ``Blocks``."""
         split, tree = self.true.split, reader_of(self.true.plant).tree
         known = split.known_part(np.arange(self.true.plant.num_multibody_states()))
@@ -143,7 +151,7 @@ class Case:
     def states_at(self, state: np.ndarray) -> dict[str, np.ndarray]:
         """``states`` at the plant's own [q; v]."""
         known = state[list(self.fixed["known"])]
-        flowing = [each.start(known) for each in self.parts["flows"].values()]
+        flowing = [each.start(known) for each in self.parts.flows.values()]
         return {
             "x": row([state, *(value for of in flowing for value in of.values())]),
             "drift": self._drift_at_start(),
@@ -153,16 +161,24 @@ class Case:
     def carrying(self, payload: MassProperties) -> "Case":
         """The same with other true mass properties of the payload."""
 
-        def loaded(block: Any) -> Any:
-            return block.with_payload(payload) if hasattr(block, "with_payload") else block
+        def loaded(blocks: Mapping[str, Block]) -> Mapping[str, Block]:
+            return frozen(
+                {
+                    name: each.with_payload(payload) if hasattr(each, "with_payload") else each
+                    for name, each in blocks.items()
+                }
+            )
 
         other = copy.copy(self)
         other.true = self.mission.craft.loaded(self.true, payload)
-        other.parts = frozen(
-            {
-                kind: {name: loaded(each) for name, each in of.items()}
-                for kind, of in self.parts.items()
-            }
+        of = self.parts
+        other.parts = Parts(
+            sensing=loaded(of.sensing),
+            actuation=loaded(of.actuation),
+            flows=loaded(of.flows),
+            forces=loaded(of.forces),
+            last=loaded(of.last),
+            supervisor=loaded(of.supervisor),
         )
         own = reader_of(self.true.plant).parameters(other.true.context)
         found = parameters_of(other.parts, "blocks").values
@@ -250,17 +266,17 @@ class Case:
         """What runs read at each sample, without noise (samples, n), by the names of
         ``Blocks.row``; 0 before and after a phase.
         """
-        watch, times = self.parts["supervisor"], self.times[self.window]
+        watches, times = self.made.watch is not None, self.times[self.window]
         made = {
             "reference": self.motion.rows(times),
             "phases": phases_at(self.parts, self.samples)[self.window],
-            "request": np.zeros((len(times), len(watch))),
+            "request": np.zeros((len(times), int(watches))),
         }
         if self.made.reference is not None:
             followed = self.made.reference.rows
             plan = [followed[name] for name in ("desired_state", "desired_acceleration")]
             made["reference"] = np.hstack(plan)
-            if watch and "abort_request" in followed:
+            if watches and "abort_request" in followed:
                 made["request"] = followed["abort_request"]
         if (path := make_frame_motion(self.mission, self.nominal, self.motion)) is not None:
             made["frame"] = path.rows(times)
@@ -279,7 +295,7 @@ class Case:
         return self.planned | {"noise": self.noise.white, "drift_noise": self.noise.drift}
 
 
-_cases: collections.OrderedDict[Any, tuple[Scenario, Case]] = collections.OrderedDict()
+_cases: collections.OrderedDict[Hashable, tuple[Scenario, Case]] = collections.OrderedDict()
 
 
 def case_of(mission: Mission, grip: Grip = HELD) -> Case:

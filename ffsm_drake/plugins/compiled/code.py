@@ -8,7 +8,6 @@ bits are those of every processor.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
 
 from ffsm_drake.plugins.compiled.angles import without_angles
 from ffsm_drake.plugins.compiled.registers import Registers
@@ -45,7 +44,7 @@ def of_lanes(
     name: str,
     tape: Tape,
     inputs: Mapping[str, int],
-    results: Mapping[str, Sequence[Any]],
+    results: Mapping[str, Sequence[Symbol | float]],
 ) -> str:
     """An internal function of pointers to arrays with a register for each entry, of inputs and of
     results. An array may be both.
@@ -282,8 +281,8 @@ class _Part:
         else:
             yield f"  %t{index} = load {reals}, ptr %p{index}, align 8"
 
-    def _operand(self, operand: Any) -> str:
-        return f"%t{operand}" if isinstance(operand, int) else self._registers.real(operand)
+    def _operand(self, operand: float | str) -> str:
+        return f"%t{operand}" if isinstance(operand, int) else self._registers.real(float(operand))
 
 
 def _store(registers: Registers, value: str, array: str, entry: int, name: str) -> Iterator[str]:

@@ -66,7 +66,7 @@ class Code:
         self._engine.add_object_file(llvm().ObjectFileRef.from_data(code))
         self._engine.finalize_object()
 
-    def function(self, name: str, pointers: int, *others: Any) -> Callable[..., None]:
+    def function(self, name: str, pointers: int, *others: type) -> Callable[..., None]:
         """A function of so many pointers and numbers of these kinds; it lives as long as this."""
         kind = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * pointers, *others)
         made: Any = kind(self._engine.get_function_address(name))

@@ -3,8 +3,7 @@
 import collections
 import functools
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 
 import numpy as np
 
@@ -101,7 +100,7 @@ class Compiled(Engine):
     ) -> list[RunLog | NotCovered | None]:
         """See Engine."""
         results: list[RunLog | NotCovered | None] = [None] * len(missions)
-        cases, lanes = dict[Any, Case](), dict[int, Lane]()
+        cases, lanes = dict[Hashable, Case](), dict[int, Lane]()
         alone = len(missions) == 1
         for index, mission in enumerate(missions):
             scenario = mission.scenario
@@ -127,9 +126,9 @@ class Compiled(Engine):
         return results
 
 
-_kernels: collections.OrderedDict[Any, Kernel | NotCovered] = collections.OrderedDict()
+_kernels: collections.OrderedDict[Hashable, Kernel | NotCovered] = collections.OrderedDict()
 # compared with Drake: runs' keys, and pairs of successive phases; those that are refused
-_judged, _refused = set[Any](), dict[Any, NotCovered]()
+_judged, _refused = set[Hashable](), dict[Hashable, NotCovered]()
 
 
 def results_of(runs: Sequence[Run], *, alone: bool = False) -> list[RunLog | NotCovered | None]:

@@ -1,8 +1,6 @@
 """The forces on the plant on symbols: at a sample, and at an instant of the integrator."""
 
 import functools
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +12,7 @@ from ffsm_drake.plugins.equations import equations
 from ffsm_drake.plugins.tape.arrays import traced
 from ffsm_drake.plugins.tape.numbers import NotTraceable
 from ffsm_drake.systems.disturbance import force_at
-from ffsm_drake.systems.sampled import NEXT, Now
+from ffsm_drake.systems.sampled import NEXT, Arrays, Now
 
 # Outputs of forces, and the entries of the plant's v that they are along.
 _OF_FORCES = {"generalized_force": "forced", "hidden_force": "loose"}
@@ -31,11 +29,12 @@ class Forces(Instant):
         force, rates = self._others(state, time, **held)
         for each in self._last(state, time, force):
             force[list(of.forced)] = force[list(of.forced)] + each["generalized_force"]
-        return {"rates": [*equations.derivative(of.tree, q, v, force, cells.own), *joined(rates)]}
+        of_plant = traced(equations.derivative(of.tree, q, v, force, cells.own))
+        return {"rates": joined([of_plant, *rates])}
 
     def touching(self) -> Made:
         """What becomes of forces that step several times, at an instant at which they step."""
-        signals, touches, made = self.states(self.x), self._touches, list[Any]()
+        signals, touches, made = self.states(self.x), self._touches, list[np.ndarray]()
         for placed, block in self.sampled("forces"):
             if placed.cell != "touched":
                 continue
@@ -47,7 +46,7 @@ class Forces(Instant):
             made += [outputs[port] for port in self.blocks.touches[placed.name]]
         return self.unless_lost({"touch": joined(made), "touched": self.kept("touched")})
 
-    def at_sample(self, now: Now, measured: dict[str, Any]) -> dict[str, Any]:
+    def at_sample(self, now: Now, measured: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """The forces of a sample: those of this instant and those that are held. What they show is
         noted among the signals.
         """
@@ -65,7 +64,7 @@ class Forces(Instant):
             each.append(_at_instant(found, "generalized_force"))
             if "hidden_force" in found:
                 on_hidden = on_hidden + _at_instant(found, "hidden_force")
-        if of.parts["last"]:
+        if of.parts.last:
             before, _ = parted(cells.held_before, zeros(of.held))
             others = self._others(self.x, now.time, **before)[0]
             for outputs in self._last(self.x, now.time, others):
@@ -80,7 +79,7 @@ class Forces(Instant):
             "hidden_push": on_hidden if of.pushes_hidden else traced([]),
         }
 
-    def _along(self, force: Any, outputs: Mapping[str, Any]) -> Any:
+    def _along(self, force: np.ndarray, outputs: Arrays) -> np.ndarray:
         """A force on the plant with the outputs of another one."""
         for name in _OF_FORCES.keys() & outputs.keys():
             entries = list(getattr(self.blocks, _OF_FORCES[name]))
@@ -88,33 +87,39 @@ class Forces(Instant):
         return force
 
     @functools.cached_property
-    def _touches(self) -> dict[str, dict[str, Any]]:
+    def _touches(self) -> dict[str, dict[str, np.ndarray]]:
         """The held outputs of forces that do not step once."""
-        found = dict[str, dict[str, Any]]()
+        found = dict[str, dict[str, np.ndarray]]()
         if self.blocks.touches:
             values = self.cells.touch
             for name, outputs in self.blocks.touches.items():
                 found[name], values = parted(values, outputs)
         return found
 
-    def flow(self, x: Any, held: Mapping[str, Any]) -> tuple[list[Any], dict[str, Any]]:
+    def flow(self, x: np.ndarray, held: Arrays) -> tuple[list[np.ndarray], dict[str, np.ndarray]]:
         """The rates of the flows' states at an instant, and their outputs.
 
         Args: the plant's state and theirs; held outputs of actuators, none at a sample.
         """
-        rates, found = list[Any](), dict[str, Any]()
+        rates, found = list[np.ndarray](), dict[str, np.ndarray]()
         signals, values = self.states(x) | {**held}, x[self.num_plant :]
-        for name, flow in self.blocks.parts["flows"].items():
+        for name, flow in self.blocks.parts.flows.items():
             own, values = parted(values, at_start(flow))
             given = read(flow, zeros(flow.inputs) | signals)
-            outputs, changes = self.parts["flows"][name].flow(given, own)
+            outputs, changes = self.parts.flows[name].flow(given, own)
             found |= {name: traced(value) for name, value in outputs.items()}
             rates += [traced(changes[name]) for name in own]
         return rates, found
 
     def _others(
-        self, x: Any, time: Any, *, applied_force: Any, push: Any, acted: Any
-    ) -> tuple[Any, list[Any]]:
+        self,
+        x: np.ndarray,
+        time: np.ndarray,
+        *,
+        applied_force: np.ndarray,
+        push: np.ndarray,
+        acted: np.ndarray,
+    ) -> tuple[np.ndarray, list[np.ndarray]]:
         """All forces on the plant but the last ones, at an instant, and the rates of the flows."""
         parts, _ = parted(acted, zeros(self.blocks.acted))
         rates, flown = self.flow(x, parts)
@@ -129,26 +134,28 @@ class Forces(Instant):
             force = self._along(force, {"generalized_force": flown[name]})
         return force, rates
 
-    def _last(self, x: Any, time: Any, others: Any) -> list[dict[str, Any]]:
+    def _last(
+        self, x: np.ndarray, time: np.ndarray, others: np.ndarray
+    ) -> list[dict[str, np.ndarray]]:
         """Outputs of the last forces."""
-        if not self.blocks.parts["last"]:
+        if not self.blocks.parts.last:
             return []
         force = others[list(self.blocks.forced)]
         signals = self.states(x) | {"other_force": force, "time": traced([time])}
         corrections, _ = parted(self.cells.corrected, zeros(self.blocks.corrects))
-        found = list[dict[str, Any]]()
-        for name, block in self.parts["last"].items():
+        found = list[dict[str, np.ndarray]]()
+        for name, block in self.parts.last.items():
             inputs = signals | {"correction": corrections.get(name)}
             outputs, _ = block.flow(read(block, inputs), {})
             found.append({each: traced(values) for each, values in outputs.items()})
         return found
 
-    def _corrections(self) -> list[Any]:
+    def _corrections(self) -> list[np.ndarray]:
         """What the last forces correct from a sample on."""
         signals = self.states(self.x)
-        return [self.parts["last"][name].correct(signals) for name in self.blocks.corrects]
+        return [self.parts.last[name].correct(signals) for name in self.blocks.corrects]
 
 
-def _at_instant(outputs: Mapping[str, Any], name: str) -> Any:
+def _at_instant(outputs: Arrays, name: str) -> np.ndarray:
     """A force at a sample, for the record."""
     return outputs.get(NEXT + name, outputs[name])

@@ -1,20 +1,19 @@
 """The traced functions of a compiled loop, as code on its cells."""
 
 import functools
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from ffsm_drake.plugins.compiled import marching
 from ffsm_drake.plugins.compiled.blocks import COUNTS, Blocks
 from ffsm_drake.plugins.compiled.code import of_lanes
-from ffsm_drake.plugins.compiled.instant import Made
+from ffsm_drake.plugins.compiled.instant import Cells, Made
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.compiled.sampling import Sampling
 from ffsm_drake.plugins.compiled.schemes import SCHEMES
-from ffsm_drake.plugins.tape.arrays import inputs
-from ffsm_drake.plugins.tape.numbers import NotTraceable, Tape, number
+from ffsm_drake.plugins.tape.numbers import NotTraceable, Symbol, Tape, number
 from ffsm_drake.plugins.tape.tangents import tangents
 
 Traceable = Callable[[Sampling], Made]
@@ -79,8 +78,8 @@ class Traced(NamedTuple):
     """A function of cells on symbols."""
 
     tape: Tape
-    reads: dict[str, Any]  # arrays of symbols
-    results: dict[str, list[Any]]
+    reads: dict[str, np.ndarray]  # arrays of symbols
+    results: dict[str, list[Symbol | float]]
     sizes: dict[str, int]  # of all cells
 
 
@@ -90,7 +89,7 @@ def traced_function(blocks: Blocks, made: Traceable) -> Traced:
     sizes = blocks.parameters | changing | blocks.row | COUNTS
     sizes |= {"t": 1, "state": sizes["x"], "rates": sizes["x"]}
     tape = Tape()
-    cells = _Cells(tape, sizes)
+    cells = Cells(tape, sizes)
     results = {
         each: [number(one) for one in np.asarray(values, dtype=object).ravel()]
         for each, values in made(Sampling(blocks, cells)).items()
@@ -101,20 +100,6 @@ def traced_function(blocks: Blocks, made: Traceable) -> Traced:
         for one in values:
             tape.place_of(one)
     return Traced(tape, cells.read, results, sizes)
-
-
-class _Cells:
-    """Arrays of symbols as attributes, by the names of cells; ``read`` has those that are read."""
-
-    def __init__(self, tape: Tape, sizes: Mapping[str, int]) -> None:
-        self._tape, self._sizes, self.read = tape, sizes, dict[str, Any]()
-
-    def __getattr__(self, name: str) -> Any:
-        array = inputs(self._tape, name, (self._sizes[name],))
-        array.setflags(write=False)
-        setattr(self, name, array)
-        self.read[name] = array
-        return array
 
 
 def _function(
@@ -129,7 +114,7 @@ def _function(
     tape, read, results, sizes = traced_function(blocks, made)
     given = {each: sizes[each] for each in read}
     if slopes:
-        seeds = dict[int, Any]()
+        seeds = dict[int, Symbol]()
         changing = blocks.states | blocks.results
         times = {f"t{i}" for i in range(len(SCHEMES[blocks.scheme].times))}
         for each in filter((changing.keys() - times | {"state", *_NOISE}).__contains__, read):

@@ -8,7 +8,7 @@ no state, so that a further call can go on with it: a *leg* of a run is a call.
 import ctypes
 import functools
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -247,8 +247,13 @@ class _Text:
         return Code(make, key and f"{what} {key}", quickly=not self._begins)
 
     def _module(self) -> str:
-        how: Any = {"steps": self._steps, "begins": self._begins, "slopes": self._slopes}
-        made = functions(self._blocks, self._registers, **how)
+        made = functions(
+            self._blocks,
+            self._registers,
+            steps=self._steps,
+            begins=self._begins,
+            slopes=self._slopes,
+        )
         lines = "\n".join((*self._entry(), *self._lines(made)))
         return "\n".join((
             *declarations(self._registers),

@@ -4,7 +4,7 @@ Between the samples, their law's memory can be read and written: an agent's acti
 agent sees. A lane has the same bits whatever the others do.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -55,7 +55,7 @@ class Lanes:
         self._at_start = np.zeros((all_lanes, kernel.size))  # cells
         self._places_at_start = np.zeros((all_lanes, len(strides)), np.uint64)
         self._cases: list[Case] = [run.case] * all_lanes
-        self._rows: list[Any] = [None] * all_lanes  # what the addresses point to
+        self._rows: list[Mapping[str, np.ndarray]] = [{}] * all_lanes  # what the addresses point to
         self._addresses = [
             (cells.ctypes.data, places.ctypes.data)
             for cells, places in zip(self._cells, self._places, strict=True)
@@ -66,7 +66,7 @@ class Lanes:
             self.begin(lane, 0)
         self.restart(np.arange(number, all_lanes))
 
-    def _laws(self, run: Run, numbers: Sequence[int]) -> list[tuple[Laws | None, Any]]:
+    def _laws(self, run: Run, numbers: Sequence[int]) -> list[tuple[Laws | None, object]]:
         laws = [laws_of(self._kernel, [run] * each) for each in numbers]
         pairs = zip(laws, self._cells, strict=True)
         return [(each, each and each.function(cells, self._kernel.places)) for each, cells in pairs]

@@ -44,7 +44,7 @@ def log_of(
     return RunLog(
         mission=run.mission,
         outcome=outcome,
-        tracks_frame=bool(getattr(run.law, "tracks_frame", False)),
+        tracks_frame=run.law.tracks_frame,
         sliding_unit=str(run.law.sliding_unit),
         engine=engine_of(run),
         parts=parts,

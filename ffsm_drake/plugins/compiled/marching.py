@@ -2,7 +2,6 @@
 
 import functools
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -61,18 +60,18 @@ def arrived(at: Instant, weights: Sequence[float], steps: int) -> Made:
     }
 
 
-def _time_of(at: Instant, step: Any) -> Any:
+def _time_of(at: Instant, step: np.ndarray) -> np.ndarray:
     """The begin of a step in the present sample (1), s."""
     cells = at.cells
     return cells.number * cells.sample_time + step * cells.step
 
 
-def _is_bounded(at: Instant, x: Any) -> Any:
+def _is_bounded(at: Instant, x: np.ndarray) -> np.ndarray:
     velocities = x[list(at.blocks.known[at.blocks.nq :])]
     return (np.abs(velocities) <= at.cells.bound).all()
 
 
-def _seen(at: Instant, time: Any, is_sound: Any) -> dict[str, Any]:
+def _seen(at: Instant, time: np.ndarray, is_sound: np.ndarray) -> dict[str, np.ndarray]:
     """What is known of a run that is sound at a time, or not."""
     return {
         "lost": np.where(at.is_lost | ~is_sound, 1.0, 0.0),

@@ -7,8 +7,7 @@ import dataclasses
 import itertools
 import re
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.systems.sampled import Arrays
+from ffsm_drake.systems.sampled import Arrays, Sampled
 
 NUDGE = 1.0 + np.finfo(float).eps  # changes last bits
 _LEFT = "its fault detection isolates a unit, or it diverges"
@@ -54,9 +53,9 @@ class LaneStage(Stage):
         return self.run.coordinates
 
     @property
-    def blocks(self) -> Mapping[str, Any]:
+    def blocks(self) -> Mapping[str, Sampled]:
         """See Stage."""
-        return {f"forces.{name}": block for name, block in self.run.case.parts["forces"].items()}
+        return {f"forces.{name}": block for name, block in self.run.case.parts.forces.items()}
 
     @property
     def state(self) -> np.ndarray:
@@ -76,7 +75,7 @@ class LaneStage(Stage):
         """See Stage."""
         return self.run.mission.craft.flexible(self.run.case.nominal.grip)
 
-    def block(self, name: str) -> Any:
+    def block(self, name: str) -> Sampled:
         """See Stage."""
         if name == "reference" and (own := self.run.case.made.reference) is not None:
             return own.block
@@ -117,7 +116,7 @@ class LaneStage(Stage):
 
     def resume(
         self,
-        before: Any,
+        before: "LaneStage",
         reference: np.ndarray | None = None,
         *,
         afresh: Collection[str] = (),
@@ -192,7 +191,7 @@ class Lane:
         is_detected = own is not None and own.case.made.detector is not None
         self.lost = NotCovered(_LEFT) if is_detected else None
         self.result: RunLog | NotCovered | None = self.lost
-        self.steps = list[Any]()  # what its code depends on, from phase to phase
+        self.steps = list[Hashable]()  # what its code depends on, from phase to phase
         self._noise: Noise | None = None
         self._build_time = 0.0
 
@@ -279,7 +278,7 @@ class Lane:
         self._course.note(self._phase, dataclasses.replace(log, wall_time=wall_time))
 
     @property
-    def changes(self) -> set[Any]:
+    def changes(self) -> set[Hashable]:
         """A run without approach, or pairs of successive phases: each is compared with Drake
         once.
         """
@@ -292,7 +291,7 @@ def advance(lanes: Iterable[Lane], kernel_of: Callable[[Sequence[Run]], Kernel])
     """Run lanes to their ends. Args: the lanes; what compiles the code of runs."""
     waiting = [lane for lane in lanes if lane.plan()]
     while waiting:
-        groups: dict[Any, list[Lane]] = {}
+        groups: dict[Hashable, list[Lane]] = {}
         for lane in waiting:
             groups.setdefault((lane.run.key, lane.samples, lane.ends), []).append(lane)
         waiting = [

@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any, ClassVar
 
 import numpy as np
+from pydrake.multibody.tree import Frame
 
 from ffsm_drake.plugins.compiled.parameters import reader_of
 from ffsm_drake.plugins.equations import equations, frames
@@ -21,38 +22,46 @@ class TracedModel(PlantModel):
     """A nominal model on symbols: its equations, tracking errors, and frames at a ``Place``."""
 
     reduced: ClassVar[type]  # of an underactuated plant, see ``driven_model``
-    own: Any  # the parameters of the tree
+    own: np.ndarray  # the parameters of the tree
     tree: Tree
 
-    def calc_mass_matrix(self, q: Any) -> Any:
+    def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """See PlantModel."""
         return traced(equations.mass_matrix(self.tree, q, self.own))
 
-    def calc_bias(self, q: Any, v: Any) -> Any:
+    def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """See PlantModel."""
         return traced(equations.bias(self.tree, q, v, self.own))
 
-    def calc_tracking_errors(self, desired: Any, actual: Any, num_positions: int) -> Any:
+    def calc_tracking_errors(
+        self, desired: np.ndarray, actual: np.ndarray, num_positions: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         """See PlantModel."""
         return tracking_errors(desired, actual, num_positions)
 
-    def calc_acceleration(self, q: Any, v: Any, force: Any) -> Any:
+    def calc_acceleration(self, q: np.ndarray, v: np.ndarray, force: np.ndarray) -> np.ndarray:
         """See PlantModel."""
         return traced(equations.derivative(self.tree, q, v, force, self.own)[len(q) :])
 
-    def calc_jacobian(self, q: Any, frame: Any, seen_from: Any = None) -> Any:
+    def calc_jacobian(
+        self, q: np.ndarray, frame: Frame | str, seen_from: Frame | None = None
+    ) -> np.ndarray:
         """See PlantModel."""
         if seen_from is not None:
             return frames.relative_jacobian(self.tree, _known(frame), _known(seen_from), q)
         return frames.jacobian(self.tree, _known(frame), q)
 
-    def calc_bias_acceleration(self, q: Any, v: Any, frame: Any, seen_from: Any = None) -> Any:
+    def calc_bias_acceleration(
+        self, q: np.ndarray, v: np.ndarray, frame: Frame | str, seen_from: Frame | None = None
+    ) -> np.ndarray:
         """See PlantModel."""
         if seen_from is not None:
             return frames.relative_bias(self.tree, _known(frame), _known(seen_from), q, v)
         return frames.bias_acceleration(self.tree, _known(frame), q, v)
 
-    def calc_frame_pose(self, q: Any, frame: Any, seen_from: Any = None) -> Any:
+    def calc_frame_pose(
+        self, q: np.ndarray, frame: Frame | str, seen_from: Frame | None = None
+    ) -> np.ndarray:
         """See PlantModel."""
         rotation, origin = frames.pose(self.tree, _known(frame), q)
         if seen_from is not None:
@@ -60,23 +69,25 @@ class TracedModel(PlantModel):
             rotation, origin = own.T @ rotation, own.T @ (origin - from_there)
         return traced([*quaternion_of(rotation), *origin])
 
-    def calc_frame_rotation(self, q: Any, frame: Any) -> Any:
+    def calc_frame_rotation(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
         """See PlantModel."""
         return frames.pose(self.tree, _known(frame), q)[0]
 
-    def calc_frame_twist(self, q: Any, v: Any, frame: Any) -> Any:
+    def calc_frame_twist(self, q: np.ndarray, v: np.ndarray, frame: Frame | str) -> np.ndarray:
         """See PlantModel."""
         return frames.twist(self.tree, _known(frame), q, v)
 
-    def calc_point_jacobian(self, q: Any, frame: Any, point: Any) -> Any:
+    def calc_point_jacobian(
+        self, q: np.ndarray, frame: Frame | str, point: np.ndarray
+    ) -> np.ndarray:
         """See PlantModel."""
         return frames.point_jacobian(self.tree, _known(frame), q, point)
 
-    def _set_state(self, q: Any, v: Any = None) -> None:
+    def _set_state(self, q: np.ndarray, v: np.ndarray | None = None) -> None:
         raise NotTraceable("the law asks its model for more than its equations and frames")
 
 
-def _known(frame: Any) -> Place:
+def _known(frame: Frame | str) -> Place:
     if not isinstance(frame, Place):
         raise NotTraceable("the law takes a frame by its name; keep the frame in a field")
     return frame
@@ -85,7 +96,9 @@ def _known(frame: Any) -> Place:
 class PosedModel(PlantModel):
     """A model that computes a frame's poses in many configurations at once."""
 
-    def calc_frame_pose(self, q: Any, frame: Any, seen_from: Any = None) -> Any:
+    def calc_frame_pose(
+        self, q: np.ndarray, frame: Frame | str, seen_from: Frame | None = None
+    ) -> np.ndarray:
         """See PlantModel."""
         if q.ndim == 1 or isinstance(frame, str):
             return super().calc_frame_pose(q, frame, seen_from)
@@ -110,7 +123,7 @@ class _TracedReduced(ReducedModel, TracedModel):
 TracedModel.reduced = _TracedReduced
 
 
-def traced_model(model: PlantModel, own: Any) -> TracedModel:
+def traced_model(model: PlantModel, own: np.ndarray) -> TracedModel:
     """Return a model with symbols as its parameters."""
     kind = _TracedReduced if isinstance(model, ReducedModel) else TracedModel
     unknown: Any = _Unknown()

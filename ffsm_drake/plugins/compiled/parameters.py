@@ -14,9 +14,9 @@ the rows for q_d (samples, nq), by field. In the traced law, the table has only 
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Mapping
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -31,26 +31,37 @@ from ffsm_drake.systems.controllers.law import gains_of
 _CONSTANTS = (bool, int, float, str, slice, type(None), np.generic)
 
 
+Law = TypeVar("Law")  # or other blocks
+Models = Callable[[PlantModel, np.ndarray], PlantModel]
+
+
+class BySample(Protocol):
+    """What has tables by sample."""
+
+    def at_samples(self, q_d: np.ndarray) -> Mapping[str, np.ndarray]:
+        """Return their rows, see above."""
+
+
 class Parameters(NamedTuple):
     """What code has from the fields of a law, or of other blocks."""
 
     values: np.ndarray  # (n) that may differ between runs
-    constants: tuple[Any, ...]  # equal for equal code
+    constants: tuple[Hashable, ...]  # equal for equal code
     num_planned: int  # size of a row of ``rows_of``
 
 
-def parameters_of(law: Any, place: str = "the law") -> Parameters:
+def parameters_of(law: object, place: str = "the law") -> Parameters:
     """Return the parameters of a law, or of other blocks. Raises NotCovered: a field is of an
     unknown kind.
     """
-    rows, constants, planned = [np.zeros(0)], list[Any](), list[int]()
+    rows, constants, planned = [np.zeros(0)], list[Hashable](), list[int]()
 
     def note(values: np.ndarray) -> np.ndarray:
         rows.append(values.ravel())
         constants.append(values.shape)
         return values
 
-    def shape(part: Any, name: str) -> Any:
+    def shape(part: BySample, name: str) -> np.ndarray:
         table: np.ndarray = getattr(part, name)
         constants.append(table.shape[1:])
         planned.append(math.prod(table.shape[1:]))
@@ -60,13 +71,13 @@ def parameters_of(law: Any, place: str = "the law") -> Parameters:
     return Parameters(np.concatenate(rows), tuple(constants), sum(planned))
 
 
-def rows_of(law: Any, q_d: np.ndarray) -> np.ndarray:
+def rows_of(law: object, q_d: np.ndarray) -> np.ndarray:
     """Return the planned numbers (n, m) of a law at samples with desired configurations q_d
     (n, nq).
     """
     rows = list[np.ndarray]()
 
-    def note(part: Any, name: str) -> Any:
+    def note(part: BySample, name: str) -> np.ndarray:
         rows.append(part.at_samples(q_d)[name].reshape(len(q_d), -1))
         return getattr(part, name)
 
@@ -75,15 +86,13 @@ def rows_of(law: Any, q_d: np.ndarray) -> np.ndarray:
     return rows[0] if len(rows) == 1 else np.hstack([np.zeros((len(q_d), 0)), *rows])
 
 
-def with_symbols(
-    law: Any, symbols: Any, planned: Any, model: Callable[[PlantModel, Any], Any]
-) -> Any:
+def with_symbols(law: Law, symbols: np.ndarray, planned: np.ndarray, model: Models) -> Law:
     """Return the law with symbols (n) in place of its parameters, and one row of ``planned`` (m)
     in place of tables by sample; ``model`` replaces a model, given the symbols of its masses.
     """
     taken = {"symbols": 0, "planned": 0}
 
-    def take(which: str, array: Any, shape: tuple[int, ...]) -> Any:
+    def take(which: str, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
         first = taken[which]
         taken[which] += math.prod(shape)
         return array[first : taken[which]].reshape(shape)
@@ -92,7 +101,7 @@ def with_symbols(
         part = take("symbols", symbols, values.shape)
         return part if values.ndim else part.item()
 
-    def row(part: Any, name: str) -> Any:
+    def row(part: BySample, name: str) -> np.ndarray:
         return take("planned", planned, (1, *getattr(part, name).shape[1:]))
 
     return _replaced(law, "the law", _Replacement(number, lambda constant: None, model, row))
@@ -108,9 +117,9 @@ class _Replacement(NamedTuple):
     """What stands in place of the parts of an object."""
 
     number: Callable[[np.ndarray], Any]  # of an array or a number
-    constant: Callable[[Any], None]  # gets all else, which stays
-    model: Callable[[PlantModel, Any], Any]  # of a model, given its masses
-    row: Callable[[Any, str], Any]  # of a table by sample, given its owner and name
+    constant: Callable[[Hashable], None]  # gets all else, which stays
+    model: Models  # of a model, given its masses
+    row: Callable[[BySample, str], np.ndarray]  # of a table by sample, given its owner and name
 
 
 def _replaced(value: Any, place: str, new: _Replacement) -> Any:
@@ -139,16 +148,19 @@ def _replaced(value: Any, place: str, new: _Replacement) -> Any:
         return {key: _replaced(each, f"{place}.{key}", new) for key, each in value.items()}
     if isinstance(value, tuple):
         new.constant(len(value))
-        each = (_replaced(one, place, new) for one in value)
-        return type(value)._make(each) if hasattr(value, "_make") else tuple(each)
+        if not hasattr(value, "_fields"):
+            return tuple(_replaced(each, place, new) for each in value)
+        named = zip(value._fields, value, strict=True)
+        return type(value)(*(_replaced(each, f"{place}.{name}", new) for name, each in named))
     if not dataclasses.is_dataclass(value) or isinstance(value, type):
         raise NotCovered(f"{place}: {type(value).__name__}, no number, array or dataclass")
     return _with_fields(value, place, new)
 
 
-def _with_fields(value: Any, place: str, new: _Replacement) -> Any:
+def _with_fields(value: Any, place: str, new: _Replacement) -> object:
     """A dataclass with other fields."""
-    kind, gains, made = type(value), gains_of(type(value)), dict[str, Any]()
+    kind: type = type(value)
+    gains, made = gains_of(kind), dict[str, object]()
     new.constant(kind)  # not its name, which another class may get
     for field in dataclasses.fields(value):
         own = getattr(value, field.name)
@@ -163,7 +175,7 @@ def _with_fields(value: Any, place: str, new: _Replacement) -> Any:
         else:
             made[field.name] = _replaced(own, f"{place}, field {field.name}", new)
     # not by the class, whose checks of values were made with the numbers
-    other = object.__new__(kind)
+    other: object = object.__new__(kind)
     for name, each in made.items():
         object.__setattr__(other, name, each)
     return other

@@ -2,30 +2,32 @@
 
 import functools
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from ffsm_drake.plugins.compiled.called import KIND, parts
 from ffsm_drake.plugins.compiled.parameters import rows_of
 from ffsm_drake.plugins.compiled.run import Run
+from ffsm_drake.plugins.compiled.supervising import Supervisor
+from ffsm_drake.systems.controllers.law import ControlLaw
 
 
 def plans_of(runs: Sequence[Run]) -> "Plans | None":
     """Return the plans of runs with the same code; None: they have no supervisor."""
-    if runs[0].case.made.supervisor is None:
-        return None
-    return Plans([run.case.made.supervisor for run in runs], [run.law for run in runs])
+    found = [made for run in runs if (made := run.case.made.supervisor) is not None]
+    return Plans(found, [run.law for run in runs]) if found else None
 
 
 class Plans:
     """The supervisors of the first lanes of a register."""
 
-    def __init__(self, supervisors: Sequence[Any], laws: Sequence[Any]) -> None:
+    def __init__(self, supervisors: Sequence[Supervisor], laws: Sequence[ControlLaw]) -> None:
         """Args: of each lane its supervisor, with a ``block`` and ``answered``, and its law."""
         self.stopped: BaseException | None = None  # what ended the runs
         self._supervisors, self._laws = supervisors, laws
-        self._memory = parts({name: each.size for name, each in supervisors[0].start().items()})
+        self._memory = parts(
+            {name: each.size for name, each in supervisors[0].block.start().items()}
+        )
 
     def function(
         self,
@@ -33,7 +35,7 @@ class Plans:
         places: Mapping[str, int],
         rows: Sequence[Mapping[str, np.ndarray]],
         begun: Sequence[int],
-    ) -> Any:
+    ) -> object:
         """A function of the number of a sample (and another argument), which returns 0 if all runs
         must end.
 
@@ -54,7 +56,7 @@ class Plans:
         rows: Sequence[Mapping[str, np.ndarray]],
         begun: Sequence[int],
         sample: int,
-        other: Any,
+        other: object,
     ) -> bool:
         try:
             for lane in np.flatnonzero(cells[places["asks"]]).tolist():

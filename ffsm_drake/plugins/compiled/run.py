@@ -2,7 +2,7 @@
 
 import copy
 import functools
-from typing import Any
+from collections.abc import Hashable
 
 import numpy as np
 
@@ -39,7 +39,7 @@ class Run:
         if not isinstance(controller, SampledController):
             raise NotCovered("a controller that is a Drake system")
         self.controller, self.law = controller, controller.law
-        if getattr(self.law, "contacts_read", 0) and not self.case.parts["last"]:
+        if self.law.contacts_read and not self.case.parts.last:
             raise NotCovered("a law that reads contacts")
         self.coordinates, self.samples = self.case.coordinates, self.case.samples
         self.motion, self.steps = self.case.motion, self.case.steps
@@ -54,23 +54,25 @@ class Run:
                 self._call_law("fault detection")
         self.key = (self.case.kind, self.scenario.controller, type(self.law), *self.code)
 
-    def _lay_out(self, law: np.ndarray, constants: Any, planned: int, *, called: str = "") -> None:
+    def _lay_out(
+        self, law: np.ndarray, constants: tuple[Hashable, ...], planned: int, *, called: str = ""
+    ) -> None:
         """Args: of the law: its parameters, constants, and planned numbers; see ``Blocks``."""
         at_start = self._first_memory if self.case.made.watch is not None else np.zeros(0)
-        fixed: dict[str, Any] = {
-            "num_parameters": law.size,
-            "num_planned": planned,
-            **self.case.fixed,
-        }
         self.parameters = self.case.parameters | {"law": law, "law_at_start": at_start}
         self.blocks = Blocks(
             law=self.law,
             parts=self.case.parts,
+            watch=self.case.made.watch,
             detector=self.case.made.detector,
             called=called,
-            **fixed,
+            num_parameters=law.size,
+            num_planned=planned,
+            **self.case.fixed,
         )
-        self.code = (*fixed.values(), self.case.constants, constants, self.steps)  # if it is equal
+        # equal for runs that can have the same code
+        sizes = law.size, planned
+        self.code = *sizes, *self.case.fixed.values(), self.case.constants, constants, self.steps
 
     @functools.cached_property
     def states(self) -> dict[str, np.ndarray]:
@@ -125,8 +127,7 @@ def run_of(case: Case, mission: Mission) -> Run:
     kept. Raises what ``Run`` raises.
     """
     name = mission.scenario.controller
-    if name in case.runs:
-        found: Run = case.runs[name]
+    if isinstance(found := case.runs.get(name), Run):
         return found
     made = Run(mission, case)
     if is_shipped(made.law):

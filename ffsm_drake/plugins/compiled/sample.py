@@ -4,8 +4,9 @@ with its exact derivative.
 
 import collections
 import dataclasses
+import functools
 import math
-from typing import Any
+from collections.abc import Hashable
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from ffsm_drake.systems.reference import make_frame_motion
 
 _KEPT = 32  # codes
 _Codes = tuple[Step, Step]  # of a sample alone, and with its derivatives
-_codes: collections.OrderedDict[Any, _Codes | NotCovered] = collections.OrderedDict()
+_codes: collections.OrderedDict[Hashable, _Codes | NotCovered] = collections.OrderedDict()
 _MOST = 1000  # numbers of a state
 _LONGEST = 5000  # samples in a common period of the sensors
 
@@ -60,7 +61,7 @@ class TracedSample:
         self.beside = slice(plant, blocks.states["x"])  # what feeds nothing back
         self._run = run
         # of the loops that it can be the sample of
-        self.blocks = BLOCKS | {f"forces.{name}" for name in blocks.parts["forces"]}
+        self.blocks = BLOCKS | {f"forces.{name}" for name in blocks.parts.forces}
         period = math.lcm(*(each.phase_period for _, each in sampled_of(blocks.parts)))
         if period > _LONGEST:
             raise NotCovered("sensors with a long common period")
@@ -209,8 +210,8 @@ def _code(run: Run) -> _Codes:
     found = _codes.get(run.code)
     if found is None:
         try:
-            how: Any = {"steps": run.steps, "key": run.key_on_disk}
-            found = Step(run.blocks, slopes=False, **how), Step(run.blocks, slopes=True, **how)
+            step = functools.partial(Step, run.blocks, steps=run.steps, key=run.key_on_disk)
+            found = step(slopes=False), step(slopes=True)
         except (FfsmError, MemoryError):
             raise
         except Exception as error:  # the law may raise anything on symbols

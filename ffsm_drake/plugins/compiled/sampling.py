@@ -4,9 +4,6 @@ The law is the very object of the scenario, with symbols in place of its numbers
 A law that is called instead (``called``) stands between two functions of a sample.
 """
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from ffsm_drake.loop.blocks import TOLD
@@ -20,7 +17,7 @@ from ffsm_drake.plugins.tape.arrays import traced
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.systems.controllers.law_block import LawBlock
 from ffsm_drake.systems.quantization import quantize
-from ffsm_drake.systems.sampled import Now
+from ffsm_drake.systems.sampled import Arrays, Now
 
 
 class Sampling(Forces):
@@ -51,7 +48,7 @@ class Sampling(Forces):
         force, now = cells.generalized_force, Now(cells.t0[0])
         return self._given(force, now, cells.push, cells.watched_after)
 
-    def _measured(self, now: Now) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _measured(self, now: Now) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """The signals that the law can read, and results of the sample."""
         of, cells, nx = self.blocks, self.cells, self.blocks.nq + self.blocks.nv
         known, hidden = self.states(self.x).values()
@@ -75,7 +72,7 @@ class Sampling(Forces):
             "stored_after": self.kept("stored"),
         }
 
-    def _control(self, signals: Mapping[str, Any], now: Now) -> tuple[Any, Any]:
+    def _control(self, signals: Arrays, now: Now) -> tuple[np.ndarray, np.ndarray]:
         """The force and the law's memory after a sample."""
         of, cells = self.blocks, self.cells
         law = with_symbols(of.law, cells.law, cells.planned, traced_model)
@@ -92,7 +89,9 @@ class Sampling(Forces):
         outputs, after = stepped(block, block.outputs, inputs, memory, now)
         return outputs["generalized_force"], joined(after[name] for name in memory)
 
-    def _given(self, force: Any, now: Now, push: Any, watched: Any) -> dict[str, Any]:
+    def _given(
+        self, force: np.ndarray, now: Now, push: np.ndarray, watched: np.ndarray
+    ) -> dict[str, np.ndarray]:
         """What becomes of the law's force."""
         of, cells, commanded = self.blocks, self.cells, force
         if of.watch is not None:
@@ -126,7 +125,7 @@ class Sampling(Forces):
             **({} if of.watch is None else {"commanded_after": commanded, "given": given}),
         }
 
-    def _watched(self, signals: Mapping[str, Any], now: Now) -> dict[str, Any]:
+    def _watched(self, signals: Arrays, now: Now) -> dict[str, np.ndarray]:
         """What the supervisor does."""
         cells, of = self.cells, self.blocks
         if of.watch is None:

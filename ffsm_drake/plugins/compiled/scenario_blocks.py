@@ -1,16 +1,17 @@
 """The blocks of a scenario, made as pure functions for a compiled run."""
 
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from types import MappingProxyType
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from ffsm_drake.common.registrations import Registry
 from ffsm_drake.loop.blocks import DISTURBANCE, factory_of
-from ffsm_drake.plugins.compiled.blocks import Parts
+from ffsm_drake.plugins.compiled.blocks import Block, Parts, frozen
 from ffsm_drake.plugins.compiled.followed_reference import FollowedReference
+from ffsm_drake.plugins.compiled.supervising import Supervised, Supervisor
 from ffsm_drake.runs.engine import NotCovered
-from ffsm_drake.scenario import Block, Scenario
+from ffsm_drake.scenario import Block as Choice
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.parts.part import Part
@@ -22,9 +23,8 @@ from ffsm_drake.systems.setup import BlockSetup
 
 _DETECTION = "sensing.detection"
 # Of a scenario: its actuators in a row, after saturation, quantisation and delay, and those beside.
-ACTING_BLOCKS = Registry[
-    Callable[[Scenario, Coordinates], tuple[Sequence[Sampled], Sequence[Continuous]]]
-]("acting_blocks")
+ActingBlocks = Callable[[Scenario, Coordinates], tuple[Sequence[Sampled], Sequence[Continuous]]]
+ACTING_BLOCKS = Registry[ActingBlocks]("acting_blocks")
 
 
 class ScenarioBlocks:
@@ -43,7 +43,7 @@ class ScenarioBlocks:
         self._plain, self._given = plain, given
         self.built = set[str]()  # names of blocks that are made here
         self._shown = list[str]()  # outputs of forces in a record
-        stages = measurement_of(errors), *self._made("sensing").values()
+        stages = measurement_of(errors), *_of(Sampled, self._made("sensing")).values()
         self.detector = None if stages[-1].traced else stages[-1]
         forces = self._made("forces")
         self.reference = self._reference()
@@ -51,19 +51,15 @@ class ScenarioBlocks:
         self.watch = None if self.supervisor is None else self.supervisor.block
         actuators, flows = self._acting()
         self.external = tuple(forces)  # names of the forces beside the disturbance
-        self.parts = frozen(
-            {
-                "sensing": _numbered(each for each in stages if each.traced),
-                "actuation": _numbered(actuators),
-                "flows": _numbered(flows),
-                "forces": {
-                    name: each for name, each in forces.items() if isinstance(each, Sampled)
-                },
-                "last": {
-                    name: each for name, each in forces.items() if isinstance(each, Continuous)
-                },
-                "supervisor": {} if self.watch is None else {"supervisor": self.watch},
-            }
+        self.parts = Parts(
+            sensing=_numbered([each for each in stages if each.traced]),
+            actuation=_numbered(actuators),
+            flows=_numbered(flows),
+            forces=_of(Sampled, forces),
+            last=_of(Continuous, forces),
+            supervisor=frozen(
+                {"supervisor": self.watch} if isinstance(self.watch, Sampled) else {}
+            ),
         )
 
     def recorded(self, scenario: Scenario) -> tuple[str, ...]:
@@ -76,21 +72,21 @@ class ScenarioBlocks:
     def _setup(self, name: str, settings: Mapping[str, Any] = {}) -> BlockSetup:
         return dataclasses.replace(self._plain, name=name, settings=settings)
 
-    def _made(self, kind: str) -> dict[str, Any]:
+    def _made(self, kind: str) -> dict[str, Sampled | Continuous]:
         """The blocks of a kind in addition to the first one, by name."""
-        scenario, found = self._plain.scenario, dict[str, Any]()
+        scenario, found = self._plain.scenario, dict[str, Sampled | Continuous]()
         choices = scenario.blocks.choices()
         parts = section_parts(scenario, grip=self._plain.nominal.grip)
         for block in dict.fromkeys((*parts, *choices, *self._given)):
             first, _, name = block.partition(".")
             if first != kind or not name or block == DISTURBANCE:
                 continue
-            choice = choices.get(block, Block())
+            choice = choices.get(block, Choice())
             given = self._given.get(block) or parts.get(block)
             factory = given or factory_of(block, scenario)
             setup, place = self._setup(name, choice.settings), f"blocks.{block} '{choice.system}'"
-            part: Any = factory  # whose ``flow`` has pure functions in place of a Drake system
-            made = call_factory(getattr(part, "flow", part), setup, place=place)
+            # of a part, ``flow`` has pure functions in place of a Drake system
+            made = call_factory(getattr(factory, "flow", factory), setup, place=place)
             if isinstance(factory, Part) and kind == "forces":
                 self._shown += [each.name for each in factory.signals(setup)]
                 self._shown += factory.logged
@@ -111,11 +107,12 @@ class ScenarioBlocks:
         row, beside = make(self._plain.scenario, self._plain.coordinates)
         return tuple(row), tuple(beside)
 
-    def _supervisor(self) -> Any:
-        """The supervisor, with a ``block``; None: there is none."""
+    def _supervisor(self) -> Supervisor | None:
+        """The supervisor; None: there is none."""
         own = section_parts(self._plain.scenario).get("supervisor")
-        part: Any = self._given.get("supervisor", own)
-        return None if part is None else part.supervisor(self._setup("supervisor"))
+        part = self._given.get("supervisor", own)
+        setup = self._setup("supervisor")
+        return part.supervisor(setup) if isinstance(part, Supervised) else None
 
     def _reference(self) -> FollowedReference | None:
         """A reference of blocks without inputs; None: the motion."""
@@ -131,10 +128,9 @@ class ScenarioBlocks:
         return FollowedReference(made, {signal.name: signal.held for signal in signals})
 
 
-def frozen(parts: Parts) -> Parts:
-    """Blocks by kind and name that cannot be changed."""
-    return MappingProxyType({kind: MappingProxyType({**of}) for kind, of in parts.items()})
+def _numbered(blocks: Sequence[Block]) -> Mapping[str, Block]:
+    return frozen({str(index): each for index, each in enumerate(blocks)})
 
 
-def _numbered(blocks: Iterable[Any]) -> dict[str, Any]:
-    return {str(index): each for index, each in enumerate(blocks)}
+def _of(kind: type[Block], blocks: Mapping[str, Sampled | Continuous]) -> Mapping[str, Block]:
+    return frozen({name: each for name, each in blocks.items() if isinstance(each, kind)})

@@ -1,7 +1,6 @@
 """Blocks on symbols, one at a time."""
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 import numpy as np
 
@@ -9,27 +8,27 @@ from ffsm_drake.plugins.tape.arrays import traced
 from ffsm_drake.plugins.tape.numbers import NotTraceable, none_caught
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.controllers.law_block import LawBlock
-from ffsm_drake.systems.sampled import Now, Sampled
+from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 
 
 def zeros(sizes: Mapping[str, int]) -> dict[str, np.ndarray]:
     return {name: np.zeros(size) for name, size in sizes.items()}
 
 
-def parted(values: Any, shapes: Mapping[str, np.ndarray]) -> tuple[dict[str, Any], Any]:
+def parted(values: np.ndarray, shapes: Arrays) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """The first of some numbers by name, in the shapes of others, and the rest."""
-    found = dict[str, Any]()
+    found = dict[str, np.ndarray]()
     for name, like in shapes.items():
         found[name], values = values[: like.size].reshape(like.shape), values[like.size :]
     return found, values
 
 
-def joined(values: Iterable[Any]) -> Any:
+def joined(values: Iterable[np.ndarray]) -> np.ndarray:
     """Arrays one after the other."""
     return np.concatenate([traced([]), *(traced(each).ravel() for each in values)])
 
 
-def read(block: Sampled | Continuous, signals: Mapping[str, Any]) -> dict[str, Any]:
+def read(block: Sampled | Continuous, signals: Arrays) -> dict[str, np.ndarray]:
     """The inputs of a block. Raises NotTraceable: one of its ports is not known."""
     optional = getattr(block, "optional", ())
     ports = [name for name in block.inputs if name in signals or name not in optional]
@@ -40,8 +39,8 @@ def read(block: Sampled | Continuous, signals: Mapping[str, Any]) -> dict[str, A
 
 
 def stepped(
-    block: Sampled, ports: Mapping[str, int], inputs: Any, memory: Any, now: Now
-) -> tuple[Any, Any]:
+    block: Sampled, ports: Mapping[str, int], inputs: Arrays, memory: Arrays, now: Now
+) -> tuple[dict[str, np.ndarray], Arrays]:
     """What a block's step returns on symbols, with numbers in its output ports by name. Raises
     NotTraceable: other names or shapes.
     """

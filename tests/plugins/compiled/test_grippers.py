@@ -105,7 +105,7 @@ def check_closing(variant, seed):
         case.fixed["limp"], case.parameters["joint_force"] = True, joints
     run = Run(mission, case)
     kernel = _kernel(run, alone=False)
-    (block,) = [each for name, each in run.blocks.parts["forces"].items() if name == "gripper"]
+    (block,) = [each for name, each in run.blocks.parts.forces.items() if name == "gripper"]
     memory = np.concatenate([found["memory"][name] for name in block.start()])
     begun = LaneState({**run.states, "touched": memory})
     (leg,) = kernel.leg([run.parameters], [begun], [run.rows], SAMPLES)
