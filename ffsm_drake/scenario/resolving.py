@@ -4,6 +4,7 @@ overrides applied.
 
 import dataclasses
 import functools
+import itertools
 import math
 import re
 import types
@@ -103,7 +104,9 @@ def build(schema: Any, data: Any) -> Any:
     return list(data) if origin is list else data
 
 
-def build_settings(cls: Any, data: Any, key: str, scenario: Any = None) -> Any:
+def build_settings(
+    cls: Any, data: Any, key: str, scenario: Any = None, *, beside: Iterable[str] = ()
+) -> Any:
     """Build an instance of a dataclass of settings (see ``common.settings``) from the data of a
     file.
 
@@ -112,16 +115,16 @@ def build_settings(cls: Any, data: Any, key: str, scenario: Any = None) -> Any:
       data: plain data; missing keys keep their defaults.
       key: where ``data`` stands, such as ``blocks.sensing.settings``, for errors.
       scenario: passed to the ``check`` of the dataclass; None: no check.
+      beside: further keys of the file in this place, which are read elsewhere, for errors.
 
     Raises:
       ScenarioError: an unknown key, a wrong type, or a value out of its range.
     """
-    if schema_fields(cls) is None:  # a class without settings
-        for name in data:
-            raise _unknown_key(key, name, ())
-        built = cls()
-    else:
-        built = build(cls, resolve(cls, defaults_of(cls), data, key))
+    fields = schema_fields(cls) or {}
+    for name in data:
+        if name not in fields:
+            raise _unknown_key(key, name, (*fields, *beside))
+    built = build(cls, resolve(cls, defaults_of(cls), data, key)) if fields else cls()
     require_valid(built, key, scenario)
     return built
 
@@ -293,13 +296,17 @@ def apply_override(schema: Any, resolved: dict[str, Any], override: str) -> None
     except StrictYamlError as error:
         raise ScenarioError(key, f"value is not valid YAML: {one_line(error)}") from error
     target: Any = resolved
-    *parents, last = key.split(".")
-    for depth, part in enumerate(parents):
+    *parents, last = parts = key.split(".")
+    for depth, (part, then) in enumerate(itertools.pairwise(parts)):
         schema = _child_schema(schema, part, ".".join(parents[:depth]))
         schema = without_null(schema)
         if target.get(part) is None:
             target[part] = {} if schema_fields(schema) is None else defaults_of(schema)
         target = target[part]
+        if (entry := entry_named(target, then)) is not None:
+            schema, target = Any, entry
+        elif schema is Any and not isinstance(target, dict):
+            schema = type(target)  # has no keys
     schema = _child_schema(schema, last, ".".join(parents))
     fields = schema_fields(schema)
     if fields is not None and not isinstance(value, Mapping) and not _shape_of(schema).shorthand:
@@ -309,6 +316,18 @@ def apply_override(schema: Any, resolved: dict[str, Any], override: str) -> None
     target[last] = resolve(schema, default, value, key)
     if key in ("model.directives", "model.servicer") and value is not None:
         target["servicer" if last == "directives" else "directives"] = None
+
+
+def entry_named(data: Any, name: str) -> dict[str, Any] | None:
+    """Return the entry {name: settings} of a list such as ``phases``, in which a name alone is an
+    entry without settings; None: there is none, or the data are no list.
+    """
+    for place, entry in enumerate(data if isinstance(data, list) else ()):
+        found = {name: {}} if entry == name else entry
+        if isinstance(found, dict) and name in found:
+            data[place] = found
+            return found
+    return None
 
 
 def _child_schema(schema: Any, part: str, path: str) -> Any:

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import CampaignError
-from ffsm_drake.scenario.resolving import resolve
+from ffsm_drake.scenario.resolving import entry_named, resolve
 
 SAMPLINGS = ("latin_hypercube", "sobol", "random", "grid")
 # Keeps quantiles of unbounded distributions finite: SciPy's points may touch zero.
@@ -249,7 +249,8 @@ def get_value(data: Any, key: str) -> Any:
     """
     for part in key.split("."):
         try:
-            data = data[_entry(data, part, key)]
+            data, place = _placed(data, part, key)
+            data = data[place]
         except (CampaignError, KeyError):
             raise CampaignError(f"{key}: the scenario has no such value") from None
     return data
@@ -263,18 +264,23 @@ def set_value(data: Any, key: str, value: Any) -> None:
     """
     *parents, last = key.split(".")
     for part in parents:
-        if isinstance(data, dict) and data.get(part) is None:
-            data[part] = {}
-        data = data[_entry(data, part, key)]
-    data[_entry(data, last, key)] = value
+        data, place = _placed(data, part, key)
+        if isinstance(data, dict) and data.get(place) is None:
+            data[place] = {}
+        data = data[place]
+    data, place = _placed(data, last, key)
+    data[place] = value
 
 
-def _entry(data: Any, part: str, key: str) -> int | str:
-    """Index into a mapping or list for one part of a dotted key."""
+def _placed(data: Any, part: str, key: str) -> tuple[Any, int | str]:
+    """A mapping or list, or the entry of that name in a list, with its index for one part of a
+    dotted key.
+    """
+    data = entry_named(data, part) or data
     if isinstance(data, dict):
-        return part
+        return data, part
     if not isinstance(data, list):
         raise CampaignError(f"{key}: unknown key; '{part}' lies within a single value")
     if not part.isdecimal() or int(part) >= len(data):
         raise CampaignError(f"{key}: '{part}' must be a number from 0 to {len(data) - 1}")
-    return int(part)
+    return data, int(part)

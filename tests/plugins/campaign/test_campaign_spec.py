@@ -18,6 +18,7 @@ from ffsm_drake.common.errors import CampaignError
 from ffsm_drake.plugins.campaign.cases import make_cases, scenario_of
 from ffsm_drake.plugins.campaign.dispersion import (
     case_seed,
+    get_value,
     parse_distribution,
     parse_rule,
     set_value,
@@ -356,6 +357,16 @@ def test_set_value_reaches_lists_and_absent_mappings():
     assert data == {"a": [1, 5], "b": {"c": {"joint_1": 7}}}
     with pytest.raises(CampaignError, match="within a single value"):
         set_value(data, "a.1.x", 0)
+
+
+def test_values_of_a_phase_have_its_name_or_its_place():
+    data = {"phases": ["wait", {"hold": {"distance": 1}}, "stop"]}
+    for key in ("phases.wait.duration", "phases.1.hold.distance", "phases.hold.distance"):
+        set_value(data, key, len(key))
+        assert get_value(data, key) == len(key)
+    assert data["phases"] == [{"wait": {"duration": 20}}, {"hold": {"distance": 20}}, "stop"]
+    with pytest.raises(CampaignError, match="'park' must be a number from 0 to 2"):
+        set_value(data, "phases.park.duration", 3)
 
 
 def settled(scenario=None, **given):

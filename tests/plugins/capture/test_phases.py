@@ -1,5 +1,6 @@
 """Phases of a user's own before the approach: one file, named in the scenario."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -284,6 +285,34 @@ def test_lists_of_phases_that_cannot_be(given, words):
         motion_of(listed(given, "duration=40"))
     assert "\n" not in str(found.value)
     assert len(str(found.value)) < 160
+
+
+HOLD = {
+    "distance": (-1, 0.3), "direction": ([1], [0, 0, 1]), "relative": ("it", "world"),
+    "duration": (0, 3), "kind": ("a b", "hold"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "wrong", "right"), [(key, *of) for key, of in HOLD.items()])
+def test_the_key_of_a_phase_in_an_error_can_be_set(name, wrong, right):
+    given = ["[hold, approach, stop]", "duration=40"]
+    with pytest.raises(ScenarioError) as found:
+        motion_of(listed(*given, f"phases.hold.{name}={json.dumps(wrong)}"))
+    assert found.value.key == f"phases.hold.{name}"
+    scenario = listed(*given, f"{found.value.key}={json.dumps(right)}")
+    assert scenario.phases == [{"hold": {name: right}}, "approach", "stop"]
+    motion_of(scenario)
+
+
+def test_an_error_lists_every_key_of_a_phase():
+    with pytest.raises(ScenarioError) as found:
+        motion_of(listed("[{hold: {far: 1}}, approach, stop]", "duration=40"))
+    assert {*found.value.problem.partition(": ")[2].split(", ")} == {*HOLD}
+    with pytest.raises(ScenarioError, match=r"duration: unknown key; .* holds a single"):
+        listed("[{hold: {distance: 1}}, approach, stop]", "phases.hold.distance.duration=3")
+    with pytest.raises(ScenarioError) as found:
+        motion_of(phases("wait={system: hold, settings: {far: 1}}"))
+    assert found.value.key == "blocks.phases.wait.settings.far"
 
 
 def test_a_hold_gives_the_start_of_the_approach():

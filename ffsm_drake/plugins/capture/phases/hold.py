@@ -21,16 +21,24 @@ from ffsm_drake.systems.setup import BlockSetup
 class Settings:
     """Where the base waits: displaced from its place at the grasp."""
 
-    distance: float = setting(0.5, "m", "distance of the base from its place at the grasp", least=0)
+    distance: float = setting(
+        0.5,
+        "m",
+        "distance of the origin of the base from its place at the grasp, not of the gripper from "
+        "the target",
+        least=0,
+    )
     direction: list[float] = setting(
         [],
         "",
-        "direction of ``distance``, world axes; empty: away from the centre of mass of the target",
+        "direction from the place of the base at the grasp, world axes; empty: away from the "
+        "centre of mass of the target",
     )
     relative: str = setting(
         "target",
         "",
-        "what the base is at rest to: the centre of mass of the target, or the world",
+        "what the base is at rest to: the centre of mass of the target, with which the place at "
+        "the grasp moves, or the world",
         one_of=("target", "world"),
     )
 
@@ -75,11 +83,14 @@ class Hold(PlannedMotion):
 def hold(setup: BlockSetup) -> Phase:
     """The kind ``hold``: the approach begins where it ends."""
     phases = setup.scenario.blocks.phases
-    settings = build_settings(Settings, dict(setup.settings), f"phases.{setup.name}")
+    key, beside = f"blocks.phases.{setup.name}.settings", tuple[str, ...]()
+    if setup.scenario.phases:
+        key, beside = f"phases.{setup.name}", ("duration", "kind")
+    settings = build_settings(Settings, dict(setup.settings), key, beside=beside)
     if settings.direction and not (
         len(settings.direction) == 3 and np.linalg.norm(settings.direction) > 0.0
     ):
-        raise ScenarioError(f"phases.{setup.name}.direction", "must have 3 numbers, not all zero")
+        raise ScenarioError(f"{key}.direction", "must have 3 numbers, not all zero")
     names = list(phases)
     before = sum(phases[name].duration for name in names[: names.index(setup.name)])
     end = before + phases[setup.name].duration
