@@ -16,7 +16,7 @@ _LEAVES = (str, bytes, int, type(None), type, enum.Enum)
 
 
 def memoized(
-    *, maxsize: int, besides: str = "", files: Callable[[Any], Any] | None = None
+    *, maxsize: int, files: Callable[[Any], Any] | None = None
 ) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Return a decorator that caches results by the content of the arguments (``content_of``).
 
@@ -25,7 +25,6 @@ def memoized(
 
     Args:
       maxsize: number of results to keep; the least recently used one is dropped.
-      besides: a keyword argument that is not part of the key, because it follows from the others.
       files: the first argument -> the files (``Path``) that a result depends on; default: none.
     """
 
@@ -36,9 +35,8 @@ def memoized(
 
         @functools.wraps(function)
         def memo(*args: P.args, **kwargs: P.kwargs) -> R:
-            keyed = {name: value for name, value in kwargs.items() if name != besides}
             read = None if files is None else files(args[0])
-            call = _Call(content_of((args, keyed, read)), args, kwargs)
+            call = _Call(content_of((args, kwargs, read)), args, kwargs)
             return _mapped(kept(call), np.ndarray.view)
 
         return memo

@@ -84,13 +84,21 @@ def absent_need(plugin: str) -> str:
 
 @dataclass
 class Registry(Generic[Kind]):
-    """The objects of one kind, by name: entry points ``ffsm_drake.GROUP``."""
+    """The objects of one kind, by name: of the core, and of entry points ``ffsm_drake.GROUP``."""
 
     group: str
+    core: dict[str, str] = field(default_factory=dict)  # name -> module:attribute
 
     def offers(self) -> Mapping[str, EntryPoint]:
-        """Return where the objects are."""
-        return offered(self.group)
+        """Return where the objects are: first those of the core."""
+        own = {name: EntryPoint(name, address, self.group) for name, address in self.core.items()}
+        return own | {**offered(self.group), **own}
+
+    def offer(self, name: str) -> EntryPoint | None:
+        """Return where an object is; None: no plug-in offers the name."""
+        if name in self.core:  # the installed packages need not be searched
+            return EntryPoint(name, self.core[name], self.group)
+        return offered(self.group).get(name)
 
     def load(self, name: str, place: str) -> Kind:
         """Return an object; ``place``: of the name, for errors.
@@ -99,13 +107,12 @@ class Registry(Generic[Kind]):
           FfsmError: no installed plug-in offers the name.
           BlockError: the object cannot be imported.
         """
-        known = self.offers()
-        if name not in known:
+        offer = self.offer(name)
+        if offer is None:
             raise FfsmError(
                 f"{place}: no installed plug-in offers '{name}' (entry point group "
-                f"ffsm_drake.{self.group}){did_you_mean(name, known)}"
+                f"ffsm_drake.{self.group}){did_you_mean(name, self.offers())}"
             )
-        offer = known[name]
         own = plugin_of(offer.module)
         if own and (absent := absent_need(own)):
             raise BlockError(
@@ -124,7 +131,7 @@ class Registry(Generic[Kind]):
 
     def find(self, name: str) -> Kind | None:
         """As ``load``; None if no plug-in offers the name, or one that it needs is absent."""
-        offer = self.offers().get(name)
+        offer = self.offer(name)
         if offer is None or ((own := plugin_of(offer.module)) and absent_need(own)):
             return None
         return self.load(name, name)

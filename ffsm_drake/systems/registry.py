@@ -39,21 +39,19 @@ class ControllerFile(Protocol):
 
 
 _LAWS = "ffsm_drake.systems.controllers.laws"
-# Block -> name -> address, of the core's own. A new law here is one line.
-SHIPPED: dict[str, dict[str, str]] = {
-    "controller": {
-        "tdc": f"{_LAWS}.tdc:Tdc",
-        "asmc": f"{_LAWS}.asmc:Asmc",
-        "aismc": f"{_LAWS}.aismc:Aismc",
-        "tde_aismc": f"{_LAWS}.tde_aismc:TdeAismc",
-        "computed_torque": "ffsm_drake.systems.controllers.computed_torque:ComputedTorque",
-        "pd_plus": "ffsm_drake.systems.controllers.pd_plus:PdPlus",
-    },
-    "section": {
-        "reference": "ffsm_drake.systems.reference:PlannedReference",
-        "sensing": "ffsm_drake.systems.sensing.part:Sensors",
-        "forces.disturbance": "ffsm_drake.systems.disturbance:HarmonicDisturbance",
-    },
+# A new law of the core is one line.
+CORE_LAWS = {
+    "tdc": f"{_LAWS}.tdc:Tdc",
+    "asmc": f"{_LAWS}.asmc:Asmc",
+    "aismc": f"{_LAWS}.aismc:Aismc",
+    "tde_aismc": f"{_LAWS}.tde_aismc:TdeAismc",
+    "computed_torque": "ffsm_drake.systems.controllers.computed_torque:ComputedTorque",
+    "pd_plus": "ffsm_drake.systems.controllers.pd_plus:PdPlus",
+}
+CORE_PARTS = {
+    "reference": "ffsm_drake.systems.reference:PlannedReference",
+    "sensing": "ffsm_drake.systems.sensing.part:Sensors",
+    "forces.disturbance": "ffsm_drake.systems.disturbance:HarmonicDisturbance",
 }
 # Sections of the scenario that a part describes, in the order of the parts, with whether a scenario
 # uses one: a block of the same name, or a part within a block or beside it. See also ``PARTS``.
@@ -84,24 +82,24 @@ def _has_actuators(scenario: Scenario) -> bool:
 
 # A policy found so far -> the folder that its file's name is relative to, and the file.
 _POLICIES: dict[str, tuple[Path, Path]] = {}
-# Block -> further factories that can fill it.
+# Block -> the factories that can fill it.
 FACTORIES = {
     "reference": Registry[Factory]("reference"),
     "sensing": Registry[Factory]("sensing"),
-    "controller": Registry[Factory]("controllers"),
+    "controller": Registry[Factory]("controllers", CORE_LAWS),
     "actuation": Registry[Factory]("actuation"),
     "forces": Registry[Factory]("forces"),
     "phases": Registry[Factory]("phases"),
 }
 # By the section of the scenario that a part describes.
-PARTS = Registry[type[Part]]("sections")
+PARTS = Registry[type[Part]]("sections", CORE_PARTS)
 # By the beginning of ``KIND:FILE@LAW``.
 CONTROLLER_FILES = Registry[ControllerFile]("controller_files")
 
 
 def block_names(block: str) -> tuple[str, ...]:
     """Return names of the systems that can fill a block: shipped, then installed."""
-    return tuple({**SHIPPED.get(block, {}), **FACTORIES[block].offers()})
+    return tuple(FACTORIES[block].offers())
 
 
 def shipped_names(block: str) -> tuple[str, ...]:
@@ -111,8 +109,8 @@ def shipped_names(block: str) -> tuple[str, ...]:
 
 def is_shipped(block: str, name: str) -> bool:
     """True if a name stands for a system of this package."""
-    found = FACTORIES[block].offers().get(name)
-    return name in SHIPPED.get(block, {}) or (found is not None and plugin_of(found.module) != "")
+    offer = FACTORIES[block].offer(name)
+    return name in FACTORIES[block].core or (offer is not None and plugin_of(offer.module) != "")
 
 
 def section_parts(
@@ -149,17 +147,14 @@ def section_kind(name: str) -> type[Part]:
     """Return the part of a section of the scenario. Raises BlockError: its plug-in has been
     deleted.
     """
-    own: dict[str, str] = SHIPPED["section"]
-    if name not in own:
-        return PARTS.load(name, f"the scenario's section '{name}'")
-    return _load(own[name], name, ())
+    return PARTS.load(name, f"the scenario's section '{name}'")
 
 
 def section_kinds() -> Iterator[type[Part]]:
     """The parts of all sections, of those that are installed."""
     for name in SECTIONS:
-        if name in SHIPPED["section"] or PARTS.find(name) is not None:
-            yield section_kind(name)
+        if (kind := PARTS.find(name)) is not None:
+            yield kind
 
 
 def find_factory(
@@ -179,21 +174,18 @@ def find_factory(
       BlockError: it cannot be imported or called.
     """
     place = f"{key or block} '{name}'"
-    address = SHIPPED.get(block, {}).get(name, name)
     try:
         if block == "controller" and (policy := policy_parts(name)):
             read = CONTROLLER_FILES.load("policy", place)
             factory = read(_policy_file(name, policy[0], place, python_path), law=policy[1])
-        elif ":" in address:
-            factory = _load(address, place, python_path)
+        elif ":" in name:
+            factory = _load(name, place, python_path)
+        elif offer := FACTORIES[block].offer(name):
+            factory = offer.load()
         else:
-            if name not in FACTORIES[block].offers():
-                names = block_names(block)
-                choice = f", or choose one of {choices(name, names)}" if names else ""
-                raise ScenarioError(
-                    key or block, f"'{name}' is unknown; give module:attribute{choice}"
-                )
-            factory = FACTORIES[block].offers()[name].load()
+            names = block_names(block)
+            choice = f", or choose one of {choices(name, names)}" if names else ""
+            raise ScenarioError(key or block, f"'{name}' is unknown; give module:attribute{choice}")
     except FfsmError:
         raise
     except ModuleNotFoundError as error:

@@ -36,7 +36,7 @@ from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.systems.parts.metrics import by_key
 from ffsm_drake.systems.parts.signals import Constant
-from ffsm_drake.systems.registry import SHIPPED
+from ffsm_drake.systems.registry import FACTORIES
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 BLOCK = 'blocks.actuation={system: "own_actuator:Magnetorquers", settings: {largest_dipole: 80}}'
@@ -121,8 +121,8 @@ def test_a_campaign_has_its_columns(folder):
 @pytest.mark.usefixtures("folder", "rough_pictures")
 def test_a_line_of_the_registry_makes_it_a_shipped_one(monkeypatch):
     """Named alone, it is checked, linearised and warned of as the package's own."""
-    shipped = {"magnetorquers": "own_actuator:Magnetorquers"}
-    monkeypatch.setitem(SHIPPED, "actuation", shipped)
+    core = FACTORIES["actuation"].core
+    monkeypatch.setitem(core, "magnetorquers", "own_actuator:Magnetorquers")
     assert not user_supplied(load_scenario(*SCENARIO))
     common = "flight_sensors --set duration=0.3 --set blocks.actuation="
     assert "Magnetorquers: largest dipole" in ffsm(f"run {common}magnetorquers -c tdc --out out")
@@ -130,7 +130,7 @@ def test_a_line_of_the_registry_makes_it_a_shipped_one(monkeypatch):
     assert "stable" in ffsm(f"stability {common}magnetorquers -c tdc")
     unknown = ffsm(f"run {common}magnetorquer -c tdc", code=2)
     assert "give module:attribute, or choose one of magnetorquers" in unknown
-    monkeypatch.delitem(SHIPPED, "actuation")
+    monkeypatch.delitem(core, "magnetorquers")
     own = load_scenario("flight_sensors", ["blocks.actuation=own_actuator:Magnetorquers"])
     assert user_supplied(own) == {"actuation": "blocks.actuation 'own_actuator:Magnetorquers'"}
 

@@ -18,7 +18,7 @@ from ffsm_drake.plugins.new.pacing import LEAST_LEFT, effective_inertia
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import EMPTY
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
-from ffsm_drake.systems.registry import SHIPPED, find_factory
+from ffsm_drake.systems.registry import CORE_LAWS, find_factory
 
 BY_AXIS = ("tdc", "asmc", "aismc", "tde_aismc")
 # Natural frequencies to start from, rad/s, and what shrinks them.
@@ -82,7 +82,7 @@ class Tuning:
           matrices: mass matrices (m, nv, nv) along the motion.
         """
         found = self._data["controllers"]
-        for name in SHIPPED["controller"]:
+        for name in CORE_LAWS:
             law: Any = find_factory("controller", name)
             if self._asked.is_paper:
                 gains = law.starting_gains(omega, matrices)
