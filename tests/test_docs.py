@@ -21,6 +21,7 @@ from types import ModuleType
 import click
 import numpy as np
 import pytest
+from c_code import needs_llvm
 from click.testing import CliRunner
 from entry_points import is_there, needs
 from PIL import Image
@@ -242,11 +243,14 @@ def leave_out_what_takes_long(monkeypatch):
         monkeypatch.setattr(search, "PRICES", search.PRICES[:1])
 
 
+MARKS = {"api.md": pytest.mark.long, "how_a_compiled_run_works.md": (needs("compiled"), needs_llvm)}
+
+
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(page, marks=pytest.mark.long if page.name == "api.md" else (), id=page.name)
+        pytest.param(page, marks=MARKS.get(page.name, ()), id=page.name)
         for page in PAGES
         if blocks(page, "python")
     ],
@@ -389,9 +393,13 @@ def links_to_code(page: str) -> list[tuple[str, str]]:
     return LINKED.findall((DOCS / page).read_text(encoding="utf-8"))
 
 
-def test_linked_names_are_in_the_files_that_they_lead_to():
-    found = links_to_code("how_a_run_works.md")
-    assert len(found) > 40
+HOW_IT_WORKS = ("how_a_run_works.md", "how_a_compiled_run_works.md")
+
+
+@pytest.mark.parametrize("page", HOW_IT_WORKS)
+def test_linked_names_are_in_the_files_that_they_lead_to(page):
+    found = links_to_code(page)
+    assert len(found) > 20
     for name, file in found:
         code = (ROOT / file).read_text(encoding="utf-8")
         assert re.search(rf"^ *(?:def|class) {name}\b|^{name}\b.* = ", code, re.MULTILINE), name
@@ -413,9 +421,10 @@ def test_the_steps_of_a_run_are_those_of_simulate_with_a_capture_too(tmp_path, m
     )
 
 
-def test_every_name_of_the_package_in_a_run_is_linked():
-    linked = {name for name, _ in links_to_code("how_a_run_works.md")}
-    for block in blocks(DOCS / "how_a_run_works.md", "python"):
+@pytest.mark.parametrize("page", HOW_IT_WORKS)
+def test_every_name_of_the_package_in_a_run_is_linked(page):
+    linked = {name for name, _ in links_to_code(page)}
+    for block in blocks(DOCS / page, "python"):
         for node in ast.walk(ast.parse(block)):
             if isinstance(node, ast.ImportFrom) and str(node.module).startswith("ffsm_drake"):
                 assert {each.name for each in node.names} <= linked
