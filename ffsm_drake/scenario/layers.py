@@ -89,15 +89,20 @@ def assembled(schema: Any, layers: Sequence[Layer]) -> Any:
     Raises:
       ScenarioError: named first is the layer that holds the wrong value.
     """
-    stack = Stack({}, {})
-    for layer in layers:
-        stack = layer.onto(schema, stack)
-    scenario = build(schema, stack.whole)
+    scenario = build(schema, whole_of(schema, layers))
     try:
         require_valid(scenario, scenario=scenario)
     except ScenarioError as error:
         raise error.located(_at_fault(schema, layers, error)) from None
     return scenario
+
+
+def whole_of(schema: Any, layers: Iterable[Layer]) -> dict[str, Any]:
+    """Return the plain data of some layers with defaults, without a check of the values."""
+    stack = Stack({}, {})
+    for layer in layers:
+        stack = layer.onto(schema, stack)
+    return stack.whole
 
 
 def override_layers(overrides: Iterable[Override]) -> list[Layer]:
@@ -140,6 +145,11 @@ def file_layers(data: Any, source: str) -> list[Layer]:
             raise ScenarioError(EXTENDS, f"leads back to itself: {names}", source=source)
         source = str(path)
         data = parsed(read_text(path), source)
+
+
+def layers_in(path: Path) -> list[Layer]:
+    """Return the ``file_layers`` of a file. Raises ScenarioError if it cannot be read."""
+    return file_layers(parsed(read_text(path), str(path)), str(path))
 
 
 def read_text(path: Path) -> str:

@@ -12,6 +12,7 @@ from ffsm_drake.scenario.layers import (
     file_layers,
     find_scenario,
     flatten,
+    layers_in,
     override_layers,
     parsed,
     read_text,
@@ -69,8 +70,7 @@ def place_of(key: str, name_or_path: str | Path, overrides: Iterable[Override] =
     """Source of a key of a scenario that loads: "--set", a base file, or else
     ``name_or_path``.
     """
-    path = find_scenario(str(name_or_path))
-    files = file_layers(parsed(read_text(path), str(path)), str(path))
+    files = layers_in(find_scenario(str(name_or_path)))
     layers = [*files[:-1], *override_layers(overrides)]
     places = [layer.source for layer in layers if layer.gives(key)]
     own = files[-1].gives(key) and OVERRIDE not in places[-1:]

@@ -30,7 +30,7 @@ PAGE = {
     "bad": ("#b3371c", "#f0836a"),
     "mute": ("#5b636e", "#a3abb6"),
 }
-GOOD, WARN, BAD, MUTE = (PAGE[name][0] for name in ("good", "warn", "bad", "mute"))
+GOOD, BAD, MUTE = (PAGE[name][0] for name in ("good", "bad", "mute"))
 
 _MATPLOTLIB_DASHES: dict[str, Any] = {
     "solid": "-",

@@ -7,11 +7,9 @@ from ffsm_drake.scenario.layers import (
     Layer,
     Override,
     Stack,
-    file_layers,
     find_scenario,
+    layers_in,
     override_layers,
-    parsed,
-    read_text,
 )
 from ffsm_drake.scenario.sensing import DENSITIES, TIMES
 
@@ -23,8 +21,7 @@ def layer_remarks(name: str, overrides: Iterable[Override] = ()) -> Iterator[str
 
     Args: the name or file of a scenario that loads, and the overrides.
     """
-    path = find_scenario(name)
-    files = file_layers(parsed(read_text(path), str(path)), str(path))
+    files = layers_in(find_scenario(name))
     stack, given = Stack({}, {}), dict[str, float]()  # key -> sample time for which it was given
     for group in (*([layer] for layer in files), override_layers(overrides)):
         for layer in group:

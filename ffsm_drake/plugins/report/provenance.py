@@ -12,13 +12,8 @@ import yaml
 
 from ffsm_drake.common.numbers import number
 from ffsm_drake.runs.record import RunRecord
-from ffsm_drake.scenario import (
-    flatten,
-    load_scenario,
-    portable_scenario,
-    scenario_to_dict,
-    shipped_scenarios,
-)
+from ffsm_drake.scenario import Scenario, flatten, portable_scenario, shipped_scenarios
+from ffsm_drake.scenario.layers import layers_in, whole_of
 from ffsm_drake.show.results import Result
 
 _MOST_OVERRIDES = 8  # in a command that is still read
@@ -26,7 +21,11 @@ _MOST_OVERRIDES = 8  # in a command that is still read
 
 def provenance(results: Sequence[Result], folder: Path) -> list[dict[str, Any]]:
     """Facts, command and scenario of each run; paths in the scenario start at ``folder``."""
-    shipped = {name: flatten(scenario_to_dict(load_scenario(name))) for name in shipped_scenarios()}
+    # a command names the nearest one; what the package ships needs no check
+    shipped = {
+        name: flatten(whole_of(Scenario, layers_in(path)))
+        for name, path in shipped_scenarios().items()
+    }
     items = []
     for result in results:
         record = result.record

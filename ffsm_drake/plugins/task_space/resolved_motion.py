@@ -63,7 +63,6 @@ class Resolution:
     position_miss: np.ndarray  # (n) m; distance of the frame's origin from the path's
     joint_rate: np.ndarray  # (n) rad/s or m/s; norm of the joints' rates
     base_turn: np.ndarray  # (n) rad; rotation of the base from its first attitude
-    base_shift: np.ndarray  # (n) m; distance of the base from its first position
 
     @property
     def missed(self) -> bool:
@@ -170,7 +169,6 @@ class ResolvedMotion(MomentumMotion):
             position_miss=np.linalg.norm(miss[:, 3:], axis=1),
             joint_rate=np.linalg.norm(found.v[:, NUM_BASE_VELOCITIES:], axis=1),
             base_turn=np.linalg.norm(moved[:, :3], axis=1),
-            base_shift=np.linalg.norm(moved[:, 3:6], axis=1),
         )
 
     def remarks(self) -> list[str]:
