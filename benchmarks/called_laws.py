@@ -21,7 +21,7 @@ from ffsm_drake.mission import Mission
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.controllers.law import Sample, State
-from ffsm_drake.systems.controllers.pd_plus import PdPlus
+from ffsm_drake.systems.controllers.laws.pd_plus import PdPlus
 
 CASES = {
     "pd_plus": ("pd_plus", ()),

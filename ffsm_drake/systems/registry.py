@@ -45,8 +45,8 @@ CORE_LAWS = {
     "asmc": f"{_LAWS}.asmc:Asmc",
     "aismc": f"{_LAWS}.aismc:Aismc",
     "tde_aismc": f"{_LAWS}.tde_aismc:TdeAismc",
-    "computed_torque": "ffsm_drake.systems.controllers.computed_torque:ComputedTorque",
-    "pd_plus": "ffsm_drake.systems.controllers.pd_plus:PdPlus",
+    "computed_torque": f"{_LAWS}.computed_torque:ComputedTorque",
+    "pd_plus": f"{_LAWS}.pd_plus:PdPlus",
 }
 CORE_PARTS = {
     "reference": "ffsm_drake.systems.reference:PlannedReference",

@@ -13,8 +13,8 @@ from pydrake.systems.framework import LeafSystem
 from ffsm_drake import BlockError, ControlLaw, RunRecord, load_scenario, simulate
 from ffsm_drake.loop.blocks import FROM_ACTUATORS, OF_ACTUATORS
 from ffsm_drake.spacecraft.plant import configuration
+from ffsm_drake.systems.controllers.laws.pd_plus import PdPlus
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
-from ffsm_drake.systems.controllers.pd_plus import PdPlus
 
 SHORT = ["duration=0.2", "sample_time=0.01"]
 
@@ -231,7 +231,7 @@ def test_a_memory_is_a_mapping_of_vectors(returned, expected):
 
 
 ENDLESS = """
-from ffsm_drake.systems.controllers.pd_plus import PdPlus
+from ffsm_drake.systems.controllers.laws.pd_plus import PdPlus
 
 class Endless(PdPlus):
     def step(self, sample, state):

@@ -1,1 +1,1 @@
-"""Control laws: the paper's four, task-space laws, and two published ways to detumble."""
+"""The control laws of the core: the four of the paper, and two with the nominal model."""

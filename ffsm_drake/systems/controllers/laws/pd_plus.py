@@ -18,6 +18,7 @@ class PdPlus(ControlLaw):
     Chat(q, v) v_d is the symmetric bilinear form whose diagonal is Drake's bias term.
     """
 
+    label = "PD+"
     model: PlantModel
     k_p: np.ndarray = gain(
         {"base_position": 1200.0, "base_rotation": 300.0, "joints": 30.0},

@@ -16,6 +16,7 @@ class ComputedTorque(ControlLaw):
     tau = Hhat (a_d + K_d e' + K_p e) + Chat.
     """
 
+    label = "Computed torque"
     model: PlantModel
     k_p: np.ndarray = gain(25.0, "1/s^2", "gain K_p on the error")
     k_d: np.ndarray = gain(10.0, "1/s", "gain K_d on the rate of the error")
