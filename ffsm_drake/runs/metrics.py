@@ -119,7 +119,7 @@ def phases_of(dataset: _Some) -> dict[str, _Some]:
 
 
 # Largest or final size -> variable.
-_VARIABLES = {
+SIZES = {
     "peak_error": "error",
     "final_error": "error",
     "peak_effort": "generalized_force",
@@ -137,7 +137,7 @@ def of_group(figure: str, group: str, data: "Labelled", unit: str = "") -> float
     members = data["group"].values.astype(str) == group
     if unit:
         members &= data["unit"].values.astype(str) == unit
-    sizes = np.abs(data[_VARIABLES[figure]].values[:, members])
+    sizes = np.abs(data[SIZES[figure]].values[:, members])
     sizes = sizes[-1] if figure == "final_error" else sizes
     return float(sizes.max()) if members.any() else None
 
@@ -178,11 +178,11 @@ _in_table = functools.partial(Metric, key="", column="")
 # sample.
 METRICS = (
     Metric(
-        key="itae", unit="1", label="ITAE", heading="ITAE",
+        key="itae", unit="1", label="ITAE", heading="ITAE", ranked=True,
         of=itae_of,
     ),
     Metric(
-        key="isv", unit="1", label="ISV", heading="ISV",
+        key="isv", unit="1", label="ISV", heading="ISV", ranked=True,
         of=isv_of,
     ),
     *(

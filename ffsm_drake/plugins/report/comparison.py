@@ -5,7 +5,6 @@ import dataclasses
 import functools
 import itertools
 import math
-import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
@@ -15,16 +14,19 @@ from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.common.numbers import NONE, number, percent
 from ffsm_drake.runs.exceeded_limits import run_clearance, saturation
 from ffsm_drake.runs.judge import JUDGES
-from ffsm_drake.runs.metrics import drift_metrics, frame_figures, of_group
+from ffsm_drake.runs.metrics import METRICS, SIZES, drift_metrics, frame_figures, of_group
 from ffsm_drake.runs.tracking import tracked_of
 from ffsm_drake.show.results import Result, actuators_act, ranking
 from ffsm_drake.show.style import EFFORT_UNITS, GROUP_TITLES
 from ffsm_drake.show.tables import ranked_figures, size_of
-from ffsm_drake.systems.parts.metrics import Figure
+from ffsm_drake.systems.parts.metrics import Figure, Metric
 
+# Metric -> its row, the title of its ranking, and digits, where its label does not suffice.
+_TITLES = {
+    "itae": ("Accuracy, ITAE", "By accuracy (ITAE)", 4),
+    "isv": ("Effort, ISV", "By effort (ISV)", 5),
+}
 _MAGNITUDES = {
-    "peak_error": "Peak error",
-    "final_error": "Final error",
     "peak_effort": "Peak commanded force or torque",
     "peak_applied": "Peak applied force or torque",
 }
@@ -59,8 +61,10 @@ def table(results: Sequence[Result], distances: Sequence[float] | None = None) -
     limit, if known.
     """
     rows = [
-        Row("Accuracy, ITAE", _compared(results, operator.attrgetter("itae"), digits=4)),
-        Row("Effort, ISV", _compared(results, operator.attrgetter("isv"), digits=5)),
+        Row(label, _compared(results, size, digits=digits), metric.shown_unit)
+        if metric.ranked
+        else _row(label, map(size, results), metric.shown_unit, digits=digits)
+        for metric, size, (label, _, digits) in _metrics()
     ]
     if distances is not None:
         rows.append(_row("Error over the least possible", distances, digits=3))
@@ -90,6 +94,23 @@ def table(results: Sequence[Result], distances: Sequence[float] | None = None) -
     ]
 
 
+def _metrics() -> Iterator[tuple[Metric, Callable[[Result], float], tuple[str, str, int]]]:
+    """The metrics of every run with a row of their own, which are those with a key and a label: the
+    metric, its value in a run in the unit that is shown, and its texts as in _TITLES.
+    """
+    for metric in METRICS:
+        if metric.key and metric.label:
+            label = metric.label[0].upper() + metric.label[1:]
+            unit = f" ({metric.shown_unit})" if metric.shown_unit else ""
+            texts = (label, f"By {metric.label}{unit}", 4)
+            size = functools.partial(_size, metric)
+            yield metric, size, _TITLES.get(metric.key, texts)
+
+
+def _size(metric: Metric, result: Result) -> float:
+    return metric.factor * result.figure(metric.of)
+
+
 def _row(
     label: str, values: Iterable[float | None], unit: str = "", *, head: str = "", digits: int = 4
 ) -> Row:
@@ -101,10 +122,11 @@ def _magnitude_rows(results: Sequence[Result]) -> list[Row]:
     kinds = list(dict.fromkeys(kind for result in results for kind in result.kinds))
     groups, rows = [group for group, _ in kinds], []
     untracked, act = _untracked(results), actuators_act(results)
-    for (field, head), (group, unit) in itertools.product(_MAGNITUDES.items(), kinds):
+    for field, (group, unit) in itertools.product(SIZES, kinds):
         if field == "peak_applied" and not act:
             continue
-        label, is_force = GROUP_TITLES.get(group, group), "error" not in field
+        head = _MAGNITUDES.get(field, field.replace("_", " ").capitalize())
+        label, is_force = GROUP_TITLES.get(group, group), SIZES[field].endswith("force")
         if groups.count(group) > 1:
             label += f", {'revolute' if unit == 'rad' else 'prismatic'}"
         if group in untracked and not is_force:
@@ -230,9 +252,8 @@ def rankings(results: Sequence[Result]) -> list[dict[str, Any]]:
     """The runs by accuracy and by effort: place, value, and how many times the best one's value
     that is.
     """
-    figures: list[tuple[str, Callable[[Result], float], int]] = [
-        ("By accuracy (ITAE)", operator.attrgetter("itae"), 4),
-        ("By effort (ISV)", operator.attrgetter("isv"), 5),
+    figures = [
+        (title, size, digits) for metric, size, (_, title, digits) in _metrics() if metric.ranked
     ]
     for first in ranked_figures([result.record for result in results]):
         size = functools.partial(size_in, first)

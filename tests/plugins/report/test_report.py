@@ -17,13 +17,15 @@ from html_page import Page
 
 from ffsm_drake import FfsmError, RunRecord, load_scenario, simulate
 from ffsm_drake.common.numbers import number
-from ffsm_drake.plugins.report import write_report
+from ffsm_drake.plugins.report import comparison, write_report
 from ffsm_drake.plugins.report.page import render_report
 from ffsm_drake.runs.log import Outcome
+from ffsm_drake.runs.metrics import METRICS
 from ffsm_drake.scenario import scenario_from_dict, scenario_from_yaml, scenario_to_dict
 from ffsm_drake.show.curves import thinned
 from ffsm_drake.show.results import ranking, results_of
 from ffsm_drake.show.style import label_of, labels_of, styles_of
+from ffsm_drake.systems.parts.metrics import Metric
 from ffsm_drake.systems.parts.record import PartRecord
 
 HOSTILE = (
@@ -135,6 +137,26 @@ def test_table_holds_the_metrics(short, text):
         for group, title in titles.items():
             label = f"{head}: {title} [{units[group][key == 'peak_effort']}]"
             assert value(rows[label][0]) == pytest.approx(metrics[key][group], rel=5e-4), label
+
+
+ADDED = (
+    Metric(key="speed", unit="rad/s", label="largest speed", of=lambda run: 0.25),
+    Metric(key="mass", unit="kg", label="mass", shown="g", factor=1e3, of=lambda run: 0.002),
+    Metric(key="jerk", unit="1", label="jerk", ranked=True, of=lambda run: 3.0),
+    Metric(key="gone", unit="1", label="gone", of=lambda run: run["no such variable"]),
+    Metric(key="hidden", unit="1", of=lambda run: 5.0),  # without a label, it has no row
+)
+ROWS = {"Largest speed": "0.2500 rad/s", "Mass": "2.000 g", "Jerk": "3.000 ", "Gone": "– "}
+
+
+def test_a_new_metric_is_in_the_table_without_a_further_edit(short, monkeypatch):
+    monkeypatch.setattr(comparison, "METRICS", (*METRICS, *ADDED))
+    results = results_of([short, short])
+    rows = {row.label: f"{row.cells[0].text} {row.unit}" for row in comparison.table(results)}
+    assert ROWS.items() <= rows.items()
+    assert "hidden" not in str(rows).lower()
+    titles = [each["title"] for each in comparison.rankings(results)]
+    assert titles[:3] == ["By accuracy (ITAE)", "By effort (ISV)", "By jerk"]
 
 
 @pytest.mark.smoke
