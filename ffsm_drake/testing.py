@@ -26,6 +26,7 @@ from ffsm_drake.common.errors import BlockError, FfsmError
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.loop.blocks import check_ports
 from ffsm_drake.mission import Mission
+from ffsm_drake.runs.judge import JUDGES
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import (
     PerCoordinate,
@@ -82,7 +83,7 @@ def check_controller(
     Ports and sizes; a force that is finite and held over each period; no memory outside the context
     (a reset and a second run give the same force, two runs do not disturb each other); forces that
     follow the joints' names if the model lists them in another order; an update time below the
-    period.
+    period. A further line reports an adaptation of K_s that the analyses do not cover.
 
     Args:
       factory: the law's class, a function (BlockSetup -> control law or Drake system), or a name
@@ -96,6 +97,7 @@ def check_controller(
     base = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     checks: tuple[Callable[[_Candidate, Scenario], str], ...] = (
         _check_ports, _check_finite, _check_memory, _check_sampling, _check_names,
+        _check_adaptation,
     )  # fmt: skip
     try:
         if isinstance(factory, str):
@@ -104,7 +106,7 @@ def check_controller(
             name = name_of(factory)
         candidate = _Candidate(name=name, factory=factory, gains=gains or {})
         with guarded:
-            passed = [check(candidate, base) for check in checks]
+            passed = [found for check in checks if (found := check(candidate, base))]
             cost = _update_time(candidate, base)
     except FfsmError as error:
         raise ConformanceError(str(error)) from _users(error)
@@ -184,9 +186,13 @@ class _Candidate:
     factory: Factory
     gains: Mapping[str, PerCoordinate]
 
-    def build(self, scenario: Scenario) -> System:
+    def mission(self, scenario: Scenario) -> Mission:
         key = name_of(self.factory)
-        mission = Mission(dataclasses.replace(scenario, controllers={key: dict(self.gains)}))
+        gains: dict[str, Any] = {key: dict(self.gains)}
+        return Mission(dataclasses.replace(scenario, controller=key, controllers=gains))
+
+    def build(self, scenario: Scenario) -> System:
+        mission = self.mission(scenario)
         controller = make_controller(mission, mission.craft.nominal(), self.factory)
         check_ports(controller, "controller", mission.craft.coordinates, place=str(self))
         return controller
@@ -368,6 +374,13 @@ def _check_names(candidate: _Candidate, scenario: Scenario) -> str:
             "model; give gains by name, with gain(...) or setup.coordinates.vector"
         )
     return "forces follow the joints' names, not their order"
+
+
+def _check_adaptation(candidate: _Candidate, scenario: Scenario) -> str:
+    """Empty for a controller without a law, or without the plug-in that analyses it."""
+    judge, law = JUDGES.first(), getattr(candidate.build(scenario), "law", None)
+    uncovered = judge.uncovered(candidate.mission(scenario), law) if judge and law else ""
+    return uncovered and f"not covered by the stability analysis: {uncovered}"
 
 
 def two_armed(scenario: Scenario, names: tuple[str, str], urdf: Path) -> Scenario:

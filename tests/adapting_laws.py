@@ -6,6 +6,7 @@ import numpy as np
 
 import ffsm_drake
 from ffsm_drake import gain
+from ffsm_drake.systems.controllers.law import ReachingGain
 from ffsm_drake.systems.controllers.laws.aismc import Aismc
 
 
@@ -114,6 +115,100 @@ class Fails(SlotineLiHeld):
 
 
 class WithoutWithReachingGain(Aismc):
-    """Aismc whose K_s is known and cannot be set."""
+    """Aismc whose K_s is known and cannot be set: it is computed, no field."""
 
-    with_reaching_gain = ffsm_drake.InjectedDynamics.with_reaching_gain
+    @property
+    def reaching_gain(self):
+        gain = super().reaching_gain
+        return dataclasses.replace(gain, start=1.0 * gain.start)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class OwnRule(Aismc):
+    """Aismc that adapts K_s by a rule of its own, within k_s_max; its hook is that of Aismc."""
+
+    def rule(self, s, k_s):
+        """dK_s/dt: the rule of Aismc, written otherwise."""
+        return self.alpha * np.where(np.abs(s) > k_s**2 / self.beta, np.abs(s), -np.abs(s))
+
+    def step(self, e, e_dot, a_d, state):
+        u, after = super().step(e, e_dot, a_d, state)
+        k_s = state["reaching_gain"]
+        grown = k_s + self.sample_time * self.rule(after["sliding_variable"], k_s)
+        return u, {**after, "reaching_gain": np.clip(grown, 0.0, self.k_s_max)}
+
+
+class Late(OwnRule):
+    """With the sliding variable of the sample before, which is the same equation."""
+
+    def step(self, e, e_dot, a_d, state):
+        u, after = super().step(e, e_dot, a_d, state)
+        k_s = state["reaching_gain"]
+        grown = k_s + self.sample_time * self.rule(state["sliding_variable"], k_s)
+        return u, {**after, "reaching_gain": np.clip(grown, 0.0, self.k_s_max)}
+
+
+class Leaky(OwnRule):
+    def rule(self, s, k_s):
+        return self.alpha * np.abs(s) - 0.1 * k_s
+
+
+class Quadratic(OwnRule):
+    def rule(self, s, k_s):
+        return self.alpha * s * s
+
+
+class Smooth(OwnRule):
+    def rule(self, s, k_s):
+        return self.alpha * np.abs(s) * np.tanh(np.abs(s) - k_s**2 / self.beta)
+
+
+class Faster(OwnRule):
+    def rule(self, s, k_s):
+        return 1.5 * super().rule(s, k_s)
+
+
+class OtherThreshold(OwnRule):
+    def rule(self, s, k_s):
+        return self.alpha * np.abs(s) * np.sign(np.abs(s) - 1e-3)
+
+
+class Coupled(OwnRule):
+    def rule(self, s, k_s):
+        return np.ones_like(k_s) * np.max(self.alpha * np.abs(s), axis=-1, keepdims=True)
+
+
+class BeyondItsBound(OwnRule):
+    """Quadratic up to 1.2 times the bound of the hook."""
+
+    def step(self, e, e_dot, a_d, state):
+        u, after = super().step(e, e_dot, a_d, state)
+        k_s, s = state["reaching_gain"], after["sliding_variable"]
+        grown = k_s + self.sample_time * self.alpha * s * s
+        return u, {**after, "reaching_gain": np.clip(grown, 0.0, 1.2 * self.k_s_max)}
+
+
+class SaidConstant(OwnRule):
+    """Its hook says that nothing adapts K_s."""
+
+    @property
+    def reaching_gain(self):
+        return ReachingGain(start=self.k_s_initial, largest=self.k_s_initial)
+
+
+class Forgotten(OwnRule):
+    """Without the hook."""
+
+    reaching_gain = None
+
+
+class Nameless(OwnRule):
+    """Its sliding variable has another name."""
+
+    def initial_state(self):
+        return {("surface" if n == "sliding_variable" else n): x
+                for n, x in super().initial_state().items()}  # fmt: skip
+
+    def step(self, e, e_dot, a_d, state):
+        u, after = super().step(e, e_dot, a_d, {**state, "sliding_variable": state["surface"]})
+        return u, {"surface": after.pop("sliding_variable"), **after}

@@ -30,6 +30,12 @@ class Judge(Protocol):
         Args: the name or file of a scenario that loads, and its overrides.
         """
 
+    def uncovered(self, mission: Mission, law: Any) -> str:
+        """Return a line on what of a law's adaptation the analyses do not cover; or "".
+
+        Raises BlockError: the law fails.
+        """
+
     def distance(self, mission: Scenario | Mission) -> float:
         """Return the distance of the controller to the LQG limit, 1: at the limit."""
 

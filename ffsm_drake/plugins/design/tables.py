@@ -20,7 +20,11 @@ from ffsm_drake.plugins.design.stability.margins import AxisMargins, Margins
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.style import label_of
 from ffsm_drake.show.tables import aligned
-from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
+from ffsm_drake.systems.controllers import (
+    InjectedDynamics,
+    complete_gains,
+    controller_factory,
+)
 
 # parameter -> its name in the table of limits
 _PARAMETERS = {
@@ -33,7 +37,7 @@ _PARAMETERS = {
 
 
 def margins_table(margins: Margins) -> str:
-    """Plain text: the modes of the worst posture, and for the paper's laws per coordinate the
+    """Plain text: the modes of the worst posture, and for a law of axes per coordinate the
     limits.
     """
     scenario, data, worst = margins.scenario, margins_data(margins), margins.worst
@@ -282,9 +286,11 @@ def design_table(found: Design) -> str:
     ]
     for name, gain in scenario.gains.items():
         rows.append([name, *(_gain_cell(gain, name_of_group) for name_of_group in names)])
-    if scenario.estimator.kind != "one_sample" and scenario.controller in PAPER_LAWS:
+    law = controller_factory(scenario)
+    estimates = isinstance(law, type) and issubclass(law, InjectedDynamics)
+    if scenario.estimator.kind != "one_sample" and estimates:
         rows.append(["walk q_N", *(_gain_cell(scenario.estimator.walk, name) for name in names)])
-    estimate = f", estimator {scenario.estimator.kind}" if scenario.controller in PAPER_LAWS else ""
+    estimate = f", estimator {scenario.estimator.kind}" if estimates else ""
     where = ", at the starting K_s" if found.adapts else ""
     margins = [[f"margin{where}", "chosen", "current"]]
     for name, (was, now) in found.margins.items():

@@ -97,7 +97,7 @@ class Verdict:
     planned: tuple[str, ...] = ()  # without a run: ``plan_limits``
     margins: Margins | None = None
     not_margins: str = ""  # why there are no margins; empty if there are, or none were requested
-    adaptation: str = ""  # ``adaptation_remark``
+    adaptation: str = ""  # ``adaptation_remark``, or what of a user's adaptation is not covered
     advice: tuple[Advice, ...] = ()  # remedies for saturated base actuators
     remedies: tuple[Advice, ...] = ()  # remedies if it is not expected to go as planned
 
@@ -363,7 +363,8 @@ def _without_a_run(
 ) -> None:
     """Fill the parts of a verdict one after another; what was found before a BlockError stays."""
     found["linear"] = linear = linear_verdict(mission, linearizer)
-    found["adaptation"] = "" if linear.is_alarm else adaptation_remark(linearizer)
+    remark = "" if linear.is_alarm else adaptation_remark(linearizer)
+    found["adaptation"] = linearizer.own_adaptation.uncovered or remark
     found["load"] = predicted_load(linearizer)
     if margins:
         found["margins"] = stability(mission, linearizer=linearizer)

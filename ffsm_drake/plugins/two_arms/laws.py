@@ -173,7 +173,6 @@ class InternalControl:
 class MinimalLaw(WrappedLaw):
     """A law in minimal velocities; its memory of all coordinates is zero for those that follow."""
 
-    by_axis = None
     tree: TreeModel
     model: ChainModel
     internal: InternalControl | None

@@ -290,7 +290,7 @@ class ControlLaw(abc.ABC):
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class WrappedLaw(ControlLaw):
     """A law around another; all attributes of ControlLaw that it does not override are those of the
-    other.
+    other, except that it is not ``by_axis``.
     """
 
     law: ControlLaw
@@ -298,7 +298,6 @@ class WrappedLaw(ControlLaw):
     contacts_read = property(attrgetter("law.contacts_read"))
     least_change = property(attrgetter("law.least_change"))
     sliding_unit = property(attrgetter("law.sliding_unit"))
-    by_axis = property(attrgetter("law.by_axis"))
     reaching_gain = property(attrgetter("law.reaching_gain"))
     random_walks = property(attrgetter("law.random_walks"))
 

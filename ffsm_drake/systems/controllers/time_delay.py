@@ -50,9 +50,9 @@ class InjectedDynamics(abc.ABC):
       'completed'
     """
 
-    # True if it acts on each coordinate separately and is linear while the states of ``held`` are
-    # constant: ``ffsm stability`` then prints limits by coordinate.
-    by_axis: ClassVar[bool] = False
+    # False: ``ffsm stability`` prints no limits by coordinate. Otherwise it tries whether the law
+    # acts on each coordinate separately, and linearly while the states of ``held`` are constant.
+    by_axis: ClassVar[bool] = True
 
     def initial_state(self) -> State:
         """Return the initial states of the law: name -> array. By default there are none."""
@@ -70,19 +70,23 @@ class InjectedDynamics(abc.ABC):
         return None
 
     def with_reaching_gain(self, k_s: np.ndarray) -> Self:
-        """Return the law with another initial K_s (..., nv).
+        """Return the law with another initial K_s (..., nv). A law without K_s stays unchanged.
 
-        Override this method together with ``reaching_gain``. A law without K_s stays unchanged.
+        Override this method if the ``start`` of ``reaching_gain`` is not itself a field of the law.
 
         Raises:
-          BlockError: the law has a ``reaching_gain`` and does not override this method.
+          BlockError: it is not, and the law does not override this method.
         """
-        if self.reaching_gain is not None:
-            raise BlockError(
-                f"{type(self).__name__} defines reaching_gain; it also needs "
-                "with_reaching_gain(k_s), which returns the law with that K_s"
-            )
-        return self
+        gain = self.reaching_gain
+        if gain is None:
+            return self
+        for name, value in vars(self).items():
+            if value is gain.start:
+                return dataclasses.replace(self, **{name: k_s})  # type: ignore[type-var]
+        raise BlockError(
+            f"{type(self).__name__} defines reaching_gain; it also needs "
+            "with_reaching_gain(k_s), which returns the law with that K_s"
+        )
 
     @classmethod
     def gains_for(cls, omega: Any, k_s: Any) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.design.stability.linear_settings import smooth_sensing
 from ffsm_drake.plugins.design.stability.one_axis import axis_loop, of_axes
 from ffsm_drake.plugins.design.stability.planned_dynamics import Demand, PlannedDynamics
+from ffsm_drake.plugins.design.stability.separate_axes import law_of_axes
 from ffsm_drake.plugins.estimators.filter_gains import kalman_gain
 from ffsm_drake.plugins.estimators.kalman import KalmanEstimator
 from ffsm_drake.scenario import (
@@ -182,7 +183,7 @@ def one_sample_law(scenario: Scenario) -> TimeDelayControl | None:
     """
     one_sample = dataclasses.replace(scenario, estimator=Estimator())
     mission = Mission(one_sample)
-    law = getattr(make_law(mission, mission.craft.nominal()), "by_axis", None)
+    law = law_of_axes(make_law(mission, mission.craft.nominal()))
     return law if law is not None and law.dynamics.gains_for(1.0, 1.0) else None
 
 

@@ -21,7 +21,7 @@ _RUN_AWAY = 5.0
 
 def axis_law(linearizer: Linearizer) -> TimeDelayControl | None:
     """The linearizer's control law where its loop consists of axes (``one_axis``): a law by axis
-    without delays, slow sensors and user-supplied blocks; otherwise None.
+    that adapts as its hook says, without delays, slow sensors and user-supplied blocks; else None.
     """
     scenario = linearizer.given
     sensing, estimator = scenario.sensing, scenario.estimator
@@ -34,9 +34,10 @@ def axis_law(linearizer: Linearizer) -> TimeDelayControl | None:
         or estimator.delay
         or any(value for values in late for value in values.values())
         or any(value > 1 for values in slow for value in values.values())
+        or not linearizer.own_adaptation.is_as_stated
     ):
         return None
-    return getattr(linearizer.law, "by_axis", None)
+    return linearizer.axes
 
 
 def is_euler(scenario: Scenario) -> bool:
@@ -66,22 +67,26 @@ def expected_gains(linearizer: Linearizer, loop: LinearLoop | None = None) -> di
 def adapts(linearizer: Linearizer) -> bool:
     """Whether adaptation can change the K_s of a linearizer's law."""
     gain = reaching_gain_of(linearizer.law)
-    return gain is not None and gain.is_adapted and gain.changes
+    if gain is None:
+        return False
+    return (gain.is_adapted and gain.changes) or not linearizer.own_adaptation.is_as_stated
 
 
 def reached_gains(
     linearizer: Linearizer, loop: LinearLoop | None = None
 ) -> Iterator[tuple[dict[str, np.ndarray], str]]:
     """The held gains (``Linearizer.at``) that adaptation may reach, and words for them: K_s at its
-    bounds, if all are finite, then the largest K_s expected, if there is a forecast.
+    bounds, if all are finite and hold, then the largest K_s expected, if there is a forecast.
 
     A loop that is stable with the first needs no second. ``loop``: see ``expected_gains``.
     """
     if not adapts(linearizer):
         return
     gain = reaching_gain_of(linearizer.law)
-    if gain is not None and np.isfinite(gain.largest).all():
-        yield {"reaching_gain": gain.largest}, " with K_s at its bounds"
+    keeps_bound = linearizer.own_adaptation.keeps_bound
+    if gain is not None and keeps_bound and np.isfinite(gain.largest).all():
+        why = "" if axis_law(linearizer) else " (its course cannot be predicted)"
+        yield {"reaching_gain": gain.largest}, f" with K_s at its bounds{why}"
     if expected := expected_gains(linearizer, loop):
         yield expected, " with the largest K_s expected"
 

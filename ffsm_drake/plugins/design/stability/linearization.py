@@ -27,6 +27,7 @@ from ffsm_drake.plugins.design.stability.linear_loop import (
     NotLinear,
 )
 from ffsm_drake.plugins.design.stability.linear_settings import without_limits
+from ffsm_drake.plugins.design.stability.own_adaptation import OwnAdaptation, own_adaptation
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
 from ffsm_drake.plugins.design.stability.sampled_loop import (
     Held,
@@ -34,8 +35,11 @@ from ffsm_drake.plugins.design.stability.sampled_loop import (
     agrees,
     traced_sample,
 )
+from ffsm_drake.plugins.design.stability.separate_axes import law_of_axes
 from ffsm_drake.scenario import EMPTY, Grip, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import position_errors
+from ffsm_drake.systems.controllers.checked import has_user_code
+from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 from ffsm_drake.systems.faults import settle_faults
 from ffsm_drake.systems.reference import make_motion, timed
 from ffsm_drake.systems.registry import Factory
@@ -290,6 +294,18 @@ class Linearizer:
             if first <= start or self.tracks_frame:
                 return found
             count = count * _LONGER if stays else index - start
+
+    @functools.cached_property
+    def axes(self) -> TimeDelayControl | None:
+        """The control law, if it consists of axes (``law_of_axes``)."""
+        return law_of_axes(self.law)
+
+    @functools.cached_property
+    def own_adaptation(self) -> OwnAdaptation:
+        """How a user-supplied law's step adapts K_s, against its hook ``reaching_gain``."""
+        if not has_user_code(self.law):  # the tests hold the others to it
+            return OwnAdaptation()
+        return own_adaptation(self.law, self.given, self.planned.nominal, self.motion)
 
     def _off_plan(self, index: int, state: np.ndarray) -> np.ndarray:
         """The velocity of a state beside the plan's at a control sample (nv)."""

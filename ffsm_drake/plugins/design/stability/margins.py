@@ -18,7 +18,7 @@ from ffsm_drake.plugins.design.stability.adaptation import (
     forecast_reaching_gain,
     is_euler,
 )
-from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop, radius_told
+from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop, NotLinear, radius_told
 from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer
 from ffsm_drake.plugins.design.stability.moving import (
     GROWN,
@@ -250,7 +250,11 @@ def stability(
         held = {"reaching_gain": axes.forecast_k_s.max(axis=0)}
         expected = linearizer.along(POSTURES, held=held)
     gain = reaching_gain_of(linearizer.law)
-    if gain is not None and gain.is_adapted and np.isfinite(gain.largest).all():
+    adaptation = linearizer.own_adaptation
+    has_bounds = gain is not None and adaptation.keeps_bound and np.isfinite(gain.largest).all()
+    if not (adaptation.is_as_stated or has_bounds):
+        raise NotLinear(adaptation.uncovered)
+    if gain is not None and gain.is_adapted and has_bounds:
         worst = int(np.argmax([loop.spectral_radius for loop in expected]))
         bounds = {"reaching_gain": gain.largest}
         at_bounds = linearizer.at(motion.part(POSTURES[worst]), held=bounds).spectral_radius

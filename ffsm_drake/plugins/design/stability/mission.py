@@ -10,8 +10,8 @@ its bounds. If it is unstable at the bounds, it is evaluated with the largest ex
 import dataclasses
 import itertools
 import math
-from collections.abc import Sequence
-from typing import Literal
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Literal
 
 from ffsm_drake.common.steps import step
 from ffsm_drake.mission import Mission, make_mission
@@ -32,15 +32,16 @@ from ffsm_drake.plugins.design.stability.moving import (
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import closing_contacts, closing_times
 from ffsm_drake.systems.closed_chains import CLOSED_CHAINS
+from ffsm_drake.systems.controllers.checked import has_user_code, reaching_gain_of
 
 Leg = Literal["approach", "stop", "motion"]
 Status = Literal["stable", "errors grow", "cannot say", "unstable"]
 _STATUSES: tuple[Status, ...] = ("stable", "errors grow", "cannot say", "unstable")  # worst last
 
 
-def _scope(scenario: Scenario, leg: Leg) -> str:
+def _scope(linearizer: Linearizer, leg: Leg) -> str:
     """The scope of a leg's linear loop, and its omissions."""
-    left = ["limits", "noise"]
+    scenario, left = linearizer.given, ["limits", "noise", *_held_changes(linearizer.law)]
     if scenario.supervisor is not None:
         left.append("the supervisor")
     if scenario.faults is not None:
@@ -51,6 +52,17 @@ def _scope(scenario: Scenario, leg: Leg) -> str:
             left.append("the target's estimate")
     alone = ", the servicer alone" if leg == "approach" else ""
     return f"moving as planned, without {', '.join(left[:-1])} and {left[-1]}{alone}"
+
+
+def _held_changes(law: Any) -> Iterator[str]:
+    """The states that a user-supplied law changes, and that are held at their start."""
+    held: Mapping[str, float | None] = {}
+    if has_user_code(law):
+        held = getattr(law, "held", dict)()
+    for name, value in held.items():
+        is_analysed = name == "reaching_gain" and reaching_gain_of(law) is not None
+        if value is None and not is_analysed:
+            yield f"changes of {name}"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -154,7 +166,7 @@ def _verdict(linearizer: Linearizer, leg: Leg, start: float) -> LegVerdict:
         rests_stable=_resting_radius(found, leg) < 1.0,
         status=status,
         sentence=f"{leg}: {growing or _told(found, leg, status, start)}{gains} "
-        f"({len(found.loops)} instants, {_scope(linearizer.given, leg)})",
+        f"({len(found.loops)} instants, {_scope(linearizer, leg)})",
     )
 
 
@@ -189,7 +201,7 @@ def _at_larger_gains(
     if found is None:
         if adapts(linearizer):
             problem = "the adaptation of K_s has no bound and no forecast; set k_s_max"
-            raise NotLinear(problem)
+            raise NotLinear(linearizer.own_adaptation.uncovered or problem)
         return starting, ""
     if _status(found, leg) == _status(starting, leg) and (
         found.worst.spectral_radius <= starting.worst.spectral_radius

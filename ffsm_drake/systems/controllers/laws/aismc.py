@@ -4,7 +4,7 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -25,7 +25,7 @@ class Aismc(InjectedDynamics):
     the sampled loop is unstable. The defaults here therefore bound K_s.
     """
 
-    by_axis: ClassVar[bool] = True
+    label = "AISMC"
     chooses_k_s: ClassVar[bool] = True
     sample_time: float
     k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the rate of the error")
@@ -74,9 +74,6 @@ class Aismc(InjectedDynamics):
         """dK_s/dt (..., nv)."""
         magnitude = np.abs(s)
         return self.alpha * magnitude * np.sign(magnitude - self._rest(k_s))
-
-    def with_reaching_gain(self, k_s: np.ndarray) -> Self:
-        return dataclasses.replace(self, k_s_initial=k_s)
 
     @classmethod
     def gains_for(cls, omega: Any, k_s: Any) -> dict[str, Any]:

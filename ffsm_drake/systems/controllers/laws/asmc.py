@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, ClassVar, Self
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +37,7 @@ class Asmc(InjectedDynamics):
     u = a_d + K_D e' + K_s s + G sgn s with s = e' + K_D e. Gains are diagonals (nv).
     """
 
-    by_axis: ClassVar[bool] = True
+    label = "ASMC"
     sample_time: float
     k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the rate of the error")
     k_s: np.ndarray = gain(80.0, "1/s", "constant reaching gain K_s")
@@ -85,9 +85,6 @@ class Asmc(InjectedDynamics):
     @property
     def reaching_gain(self) -> ReachingGain:
         return ReachingGain(start=self.k_s, largest=self.k_s)
-
-    def with_reaching_gain(self, k_s: np.ndarray) -> Self:
-        return dataclasses.replace(self, k_s=k_s)
 
     @classmethod
     def gains_for(cls, omega: Any, k_s: Any) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """TDC: time-delay control, equation (17)."""
 
 import dataclasses
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ class Tdc(InjectedDynamics):
     u = a_d + K_D e' + K_P e. Gains are diagonals (nv). The law has no state.
     """
 
-    by_axis: ClassVar[bool] = True
+    label = "TDC"
     k_d: np.ndarray = gain(100.0, "1/s", "gain K_D on the rate of the error")
     k_p: np.ndarray = gain({"all": 100.0, "base_position": 200.0}, "1/s^2", "gain K_P on the error")
 

@@ -31,6 +31,7 @@ class TdeAismc(Aismc):
     another rate than in AISMC. Gains are diagonals (nv).
     """
 
+    label = "TDE-AISMC (proposed)"
     beta: np.ndarray = gain(
         {"base_position": 4e7, "base_rotation": 24e7, "joints": 12e7},
         "1/rad or 1/m",
