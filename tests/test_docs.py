@@ -44,7 +44,7 @@ from ffsm_drake.scenario import (
 from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import ControlLaw, InjectedDynamics, controller_names
 from ffsm_drake.systems.reference import make_motion
-from ffsm_drake.systems.registry import shipped_names
+from ffsm_drake.systems.registry import find_factory, shipped_names
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -311,7 +311,20 @@ def test_lists_of_laws_scenarios_and_plugins_are_made_from_the_package():
     assert rows.keys() >= {*shipped_names("controller"), *shipped_scenarios(), "planning"}
     assert rows["tvlqr"].startswith("Time-varying linear-quadratic regulator")
     assert "[planning](planning.md) |" in text
+    for law in shipped_names("controller"):
+        assert f".. automodule:: {find_factory('controller', law).__module__}\n" in text
     assert "<!--" not in text
+
+
+COUNT = r"\b(?:two|three|four|five|six|seven|eight|nine|ten|\d+) (?:(?:control|other) )?"
+
+
+@pytest.mark.parametrize("page", ["api", "controllers", "estimators", "law_hooks", "sampled_loop"])
+def test_guides_do_not_count_what_can_be_added(page):
+    """Neither laws nor hooks; the API names the modules of laws by their list."""
+    text = (DOCS / f"{page}.md").read_text()
+    assert not re.findall(COUNT + "(?:laws|hooks)", text, re.IGNORECASE)
+    assert "automodule:: ffsm_drake.systems.controllers.laws" not in text
 
 
 def test_links_of_generated_lists_exist():

@@ -1,8 +1,8 @@
 """The tables of the documentation that are made from the package when the site is built.
 
 On the pages scenario and blocks, the line ``<!-- table -->`` stands for the table of keys or ports.
-On any page, ``<!-- laws -->``, ``<!-- scenarios -->``, ``<!-- plugins -->`` and ``<!-- faults -->``
-stand for lists of what the package contains. ``python docs/_ext/settings_tables.py`` prints all of
+On any page, the keys of ``LISTS``, such as ``<!-- laws -->``, stand for lists of what the package
+contains. ``python docs/_ext/settings_tables.py`` prints all of
 them.
 """
 
@@ -220,6 +220,13 @@ def law_table() -> str:
     return "\n".join(lines)
 
 
+def law_modules() -> str:
+    """A directive for the docstrings of each shipped control law, as reStructuredText."""
+    laws = (find_factory("controller", name) for name in shipped_names("controller"))
+    modules = dict.fromkeys(law.__module__ for law in laws)
+    return "\n\n".join(f".. automodule:: {module}" for module in modules)
+
+
 def scenario_list() -> str:
     """The shipped scenarios with their descriptions, as Markdown."""
     lines = ["| scenario | what it simulates |", "|---|---|"]
@@ -271,6 +278,7 @@ def _first(docstring: str | None) -> str:
 PAGES: dict[str, Callable[[], str]] = {"scenario": scenario_table, "blocks": block_table}
 LISTS: dict[str, Callable[[], str]] = {
     "<!-- laws -->": law_table,
+    "<!-- law modules -->": law_modules,
     "<!-- scenarios -->": scenario_list,
     "<!-- plugins -->": plugin_table,
     "<!-- faults -->": fault_table,

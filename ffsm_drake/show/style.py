@@ -4,10 +4,13 @@ import dataclasses
 import itertools
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
+from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import differing_keys, flatten, scenario_to_dict
+from ffsm_drake.systems.registry import block_names, find_factory
 
 # Okabe and Ito's palette: distinct for colour-blind readers and, with the line styles, in grey.
 VERMILION, BLUE, GREEN, PURPLE = "#D55E00", "#0072B2", "#009E73", "#CC79A7"
@@ -73,14 +76,14 @@ GROUP_STYLES = {
 EFFORT_UNITS = {"rad": "N m", "m": "N"}  # unit of a coordinate -> unit of its force or torque
 
 _CONTROLLERS = {
-    "tde_aismc": ("TDE-AISMC (proposed)", Style(VERMILION)),
-    "aismc": ("AISMC", Style(BLUE, "dash")),
-    "asmc": ("ASMC", Style(GREEN, "dashdot")),
-    "tdc": ("TDC", Style(GREY, "dot")),
-    "computed_torque": ("Computed torque", Style(ORANGE, "longdash")),
-    "tvlqr": ("TVLQR", Style("#332288", "dash")),
-    "torque_against_momentum": ("Torque against H", Style("#999933", "dashdot")),
-    "pd_plus": ("PD+", Style(SKY, "longdashdot")),
+    "tde_aismc": Style(VERMILION),
+    "aismc": Style(BLUE, "dash"),
+    "asmc": Style(GREEN, "dashdot"),
+    "tdc": Style(GREY, "dot"),
+    "computed_torque": Style(ORANGE, "longdash"),
+    "tvlqr": Style("#332288", "dash"),
+    "torque_against_momentum": Style("#999933", "dashdot"),
+    "pd_plus": Style(SKY, "longdashdot"),
 }
 # For other controllers, and for runs whose controller's style is taken.
 _SPARE = (
@@ -94,10 +97,14 @@ _SPARE = (
 
 
 def label_of(controller: str) -> str:
-    """Return a controller's display name; the class for ``module:Class``."""
-    return (
-        _CONTROLLERS[controller][0] if controller in _CONTROLLERS else controller.rpartition(":")[2]
-    )
+    """Return a controller's display name: the ``label`` of its class, or its name; the class for
+    ``module:Class``.
+    """
+    if controller not in block_names("controller"):
+        return controller.rpartition(":")[2]
+    with suppress(FfsmError, TypeError):  # an installed law that cannot be imported keeps its name
+        return vars(find_factory("controller", controller)).get("label", controller)
+    return controller
 
 
 def styles_of(controllers: Sequence[str]) -> list[Style]:
@@ -107,7 +114,7 @@ def styles_of(controllers: Sequence[str]) -> list[Style]:
     styles: list[Style] = []
     spares = itertools.cycle(_SPARE)
     for name in controllers:
-        own = _CONTROLLERS[name][1] if name in _CONTROLLERS else None
+        own = _CONTROLLERS.get(name)
         styles.append(next(spares) if own is None or own in styles else own)
     return styles if len(styles) > 1 else [Style(style.color) for style in styles]
 

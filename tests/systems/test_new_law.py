@@ -1,4 +1,6 @@
-"""A new law is one file and one registration: it then works in run, compare and campaign."""
+"""A new law is one file and one registration: it then works in run, compare and campaign, with its
+label in figures and tables.
+"""
 
 import json
 
@@ -7,6 +9,8 @@ from click.testing import CliRunner
 from entry_points import installed, needs
 
 from ffsm_drake.cli import main
+from ffsm_drake.show.style import label_of, styles_of
+from ffsm_drake.systems.registry import find_factory, shipped_names
 
 LAW = '''
 import dataclasses
@@ -19,6 +23,7 @@ from ffsm_drake import InjectedDynamics, gain
 class Stiff(InjectedDynamics):
     """Time-delay control with a stiffness that grows with the error."""
 
+    label = "Stiffening TDC"
     k_p: np.ndarray = gain(100.0, "1/s^2", "gain on the error")
     k_d: np.ndarray = gain(40.0, "1/s", "gain on the error's rate")
 
@@ -45,6 +50,19 @@ def ffsm(known, tmp_path, monkeypatch):
         return done.stdout
 
     return call
+
+
+@pytest.mark.usefixtures("known")
+def test_figures_and_tables_show_its_label():
+    assert label_of("stiff") == "Stiffening TDC"
+    assert len({style.color for style in styles_of(["stiff", "tdc"])}) == 2
+
+
+@pytest.mark.parametrize("name", shipped_names("controller"))
+def test_labels_are_those_of_the_laws(name):
+    law = find_factory("controller", name)
+    assert label_of(name) == vars(law).get("label", name)
+    assert label_of(f"module:{law.__name__}") == law.__name__
 
 
 @pytest.mark.slow

@@ -47,6 +47,7 @@ class Tvlqr(ControlLaw):
     by its size.
     """
 
+    label = "TVLQR"
     by_sample: ClassVar[tuple[str, ...]] = ("gains",)
     model: PlantModel
     sample_time: float

@@ -23,6 +23,7 @@ class TorqueAgainstMomentum(ControlLaw):
     The base torque is -tau_max H / |H|, and proportional to H at the end. The base force is zero.
     """
 
+    label = "Torque against H"
     model: PlantModel
     torque: float = gain(10.0, "N m", "size of the base torque tau_max", scalar=True, positive=True)
     decay: float = gain(
