@@ -410,16 +410,21 @@ def _drive(
             opened = stack.enter_context(local_workers(workers or processors()))
         progress = stack.enter_context(campaign_progress())
         drive(path, workers=opened, stop=stop, progress=progress)
-    _print_status(path)
+    if not _print_status(path):
+        problem = "every run ended in an error; correct the cause and run it into a new database"
+        raise CampaignError(f"{path}: {problem}")
     click.echo(f"Next: ffsm campaign report {shlex.quote(str(path))}")
 
 
-def _print_status(path: Path) -> None:
+def _print_status(path: Path) -> bool:
+    """Print the progress; return whether there is a run without an error, or none at all."""
     from ffsm_drake.plugins.campaign.plan import status_text
     from ffsm_drake.plugins.campaign.store import open_store
 
     with open_store(path) as store:
         click.echo(status_text(store))
+        done = store.num_results()
+        return not done or done > sum(each["error"] for each in store.counts().values())
 
 
 def processors() -> int:

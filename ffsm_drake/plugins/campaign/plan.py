@@ -2,6 +2,7 @@
 
 import collections
 import itertools
+import re
 import statistics
 from collections.abc import Mapping, Sequence
 
@@ -135,7 +136,7 @@ def status_text(store: Store) -> str:
             + "".join(f"{outcomes[name]:>13}" for name in OUTCOMES)
             + f"{mean:>9}"
         )
-    lines += _engines(store)
+    lines += _errors(store) + _engines(store)
     memory = (
         "SELECT avg(rss_mib), max(rss_mib) FROM (SELECT rss_mib FROM results ORDER BY case_index "
         "{} LIMIT ?)"
@@ -154,6 +155,19 @@ def status_text(store: Store) -> str:
     return "\n".join(lines)
 
 
+def _errors(store: Store) -> list[str]:
+    """A line for each of the most frequent causes of errors: messages that differ in numbers have
+    the same cause.
+    """
+    causes = dict[str, list[str]]()
+    select = "SELECT message FROM results WHERE outcome = 'error' ORDER BY case_index"
+    for (message,) in store.query(select):
+        causes.setdefault(re.sub(r"[-\d.]+", "", message), []).append(message)
+    ranked = sorted(causes.values(), key=len, reverse=True)[:_SHOWN]
+    lines = [f"error in {counted(len(each), 'run')}, such as: {each[0]}" for each in ranked]
+    return ["", *lines] if lines else []
+
+
 def _engines(store: Store) -> list[str]:
     """Number of runs with the engine and with Drake, and how those with both compare."""
     if not (columns := engine_columns(store.spec)):
@@ -168,8 +182,8 @@ def _engines(store: Store) -> list[str]:
     runs, difference, outcomes = next(store.query(select))
     if runs:
         lines[0] += (
-            f"; {runs} run with Drake too: {outcomes:.0f} outcomes differ, errors by at most "
-            f"{difference:.1e} (rad, m)"
+            f"; {counted(runs, 'run')} with Drake too: {outcomes:.0f} with another outcome, errors "
+            f"differ by at most {difference:.1e} (rad, m)"
         )
     return ["", *lines]
 

@@ -570,3 +570,21 @@ def test_databases_that_cannot_be_merged(spec, database, tmp_path):
     one_line_error(invoke("merge", database, "--out", database), "exists; finish it with")
     for text in ("0/2", "3/2", "1", "a/b", "1/0", "1/2/3", ""):
         one_line_error(invoke("run", spec, "--shard", text), "--shard: must be I/N")
+
+
+@pytest.mark.slow
+def test_errors_are_counted_by_cause_and_only_errors_are_no_success(tmp_path):
+    masses = {"payload.truth.mass": {"distribution": "list", "values": [100, -5, -6, 80]}}
+    given = {"overrides": {"duration": 0.1}, "factors": {}, "derive": {}}
+    spec = write_spec(tmp_path / "s.yaml", **given, cases=4, parameters=masses, controllers="tdc")
+    path = run_here(spec, tmp_path / "x.db")
+    done = invoke("resume", path, "--workers", 1)
+    assert done.exit_code == 0, done.output
+    cause = "ScenarioError: payload.truth.mass: must be > 0 kg, not -5"
+    assert f"\nerror in 2 runs, such as: {cause}\n" in done.stdout
+    sql(path, "UPDATE results SET outcome = 'error', message = 'late' WHERE outcome != 'error'")
+    failed = invoke("resume", path, "--workers", 1)
+    assert failed.exit_code == 2
+    assert "\nerror in 2 runs, such as: late\n" in failed.stdout
+    assert failed.stderr.splitlines()[-1].startswith(f"error: {path}: every run ended in an error")
+    assert "Next:" not in failed.stdout
