@@ -62,7 +62,11 @@ def scenarios(name: str | None, full: bool, as_json: bool) -> None:
 
 @click.command()
 @click.argument(
-    "scenarios", nargs=-1, required=True, metavar="SCENARIO...", shell_complete=complete_scenario
+    "scenarios",
+    nargs=-1,
+    default=["postcapture"],
+    metavar="[SCENARIO]...",
+    shell_complete=complete_scenario,
 )
 @override_options()
 @rehearsal_option

@@ -152,7 +152,8 @@ def resolve(schema: Any, default: Any, data: Any, path: str) -> Any:
         if args[0] is float and type(data) in (int, float):  # a number alone
             data = [data]
         if not isinstance(data, (list, tuple)):
-            raise ScenarioError(path, f"must be a list, not {shown(data)}")
+            wanted = "a number or a list of numbers" if args[0] is float else "a list"
+            raise ScenarioError(path, f"must be {wanted}, not {shown(data)}")
         return [resolve(args[0], None, item, f"{path}[{i}]") for i, item in enumerate(data)]
     return _convert_leaf(schema, data, path)
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ffsm_drake.common.errors import ScenarioError, choices, did_you_mean
+from ffsm_drake.common.errors import ScenarioError, choices
 from ffsm_drake.scenario import Fault, FaultKind, Scenario
 from ffsm_drake.scenario.faults import DRAWN, samples_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -80,9 +80,9 @@ def _settled(fault: Fault, known: Known, seed: Sequence[int], key: str) -> Fault
 
     units = [unit for unit in known if fault.unit in (DRAWN, unit, unit.partition(".")[0])]
     if not units:
-        choice = ", ".join(known) or "none"
-        problem = f"no '{fault.unit}' breaks here; there are: {choice}"
-        raise ScenarioError(f"{key}.unit", problem + did_you_mean(fault.unit, known))
+        fitting = [unit for unit in known if fault.kind in known[unit]] or known
+        problem = f"no '{fault.unit}' breaks here; choose one of {choices(fault.unit, fitting)}"
+        raise ScenarioError(f"{key}.unit", problem)
     possible = {kind: None for unit in units for kind in known[unit]}
     units = [unit for unit in units if fault.kind == DRAWN or fault.kind in known[unit]]
     if not units:

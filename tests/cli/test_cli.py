@@ -47,6 +47,7 @@ def ffsm(*arguments):
 @pytest.mark.smoke
 def test_help_has_examples(command):
     result = ffsm(*command, "--help")
+    assert "None]" not in result.output  # of a number without bounds
     assert result.exit_code == 0
     assert "Usage:" in result.output
     assert "Example" in result.output

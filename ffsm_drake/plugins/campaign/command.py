@@ -370,7 +370,9 @@ def _locate(source: str, database: Path | None) -> Path:
     if not is_spec:
         if database is not None:
             raise CampaignError("--database: is given twice; give it once")
-        return Path(source)
+        stored = _default_database(source)
+        is_name = Path(source).stem == source and not Path(source).is_file()
+        return stored if is_name and stored.is_file() else Path(source)
     path, spec = database or _default_database(source), load_spec(source)
     with open_store(path) as store:
         # The number of cases may differ, by --cases, and the engine by --engine.

@@ -116,13 +116,13 @@ def _further_margins(
 @scenario_options
 @click.option(
     "--budget",
-    type=FiniteFloat(),
+    type=FiniteFloat(min=0.0),
     help="Largest ISV (default: 1.02 times that of the current gains; with unstable gains or "
     "--trade effort, at least 1.1 times that of perfect tracking).",
 )
 @click.option(
     "--payload-range",
-    type=FiniteFloat(),
+    type=FiniteFloat(min=0.0),
     nargs=2,
     metavar="LOW HIGH",
     help="Range of true payload masses with a stable loop, kg.",
@@ -136,7 +136,7 @@ def _further_margins(
 @click.option(
     "--time",
     "time_limit",
-    type=FiniteFloat(),
+    type=FiniteFloat(min=0.0),
     default=60.0,
     show_default=True,
     help="Time limit of the whole command, s; then the best gains so far are used, as after "

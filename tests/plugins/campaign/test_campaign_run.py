@@ -588,3 +588,15 @@ def test_errors_are_counted_by_cause_and_only_errors_are_no_success(tmp_path):
     assert "\nerror in 2 runs, such as: late\n" in failed.stdout
     assert failed.stderr.splitlines()[-1].startswith(f"error: {path}: every run ended in an error")
     assert "Next:" not in failed.stdout
+
+
+def test_a_campaign_is_found_by_its_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine").mkdir()
+    spec = write_spec(tmp_path / "mine.yaml", cases=1, controllers="tdc")
+    assert "mine: no such database" in invoke("status", "mine").stderr
+    Path("out/campaigns").mkdir(parents=True)
+    run_here(spec, Path("out/campaigns/mine.db"))
+    for source in ("mine", "mine.yaml", "out/campaigns/mine.db"):
+        assert invoke("status", source).stdout.startswith("out/campaigns/mine.db: a small campaign")
+    assert invoke("status", "other/mine").exit_code == 2

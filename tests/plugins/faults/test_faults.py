@@ -190,6 +190,8 @@ def test_what_is_drawn_can_break(coordinates, seed, unit):
     [
         ({"unit": "thrusters.a_q"}, "no 'thrusters.a_q' breaks here"),
         ({"unit": "wheels", "kind": "leaking"}, "'leaking' is no fault of wheels"),
+        ({"unit": "joint_2", "kind": "silent"}, "did you mean 'sensing.joint_2'"),
+        ({"unit": "joint_2", "kind": "jammed"}, "did you mean 'joints.joint_2'"),
     ],
 )
 def test_what_cannot_break(coordinates, given_, said):
