@@ -47,16 +47,18 @@ FRAME, NUMBER, UNITS = str(FRAME_SIZE), "1", "units"
 # Wrenches on the target, of the contacts that close loops (``contacts``): 6 for each.
 WRENCH, WRENCHES = "measured_wrench", "6 contacts"
 # Outputs of actuators that act on the plant in addition to the applied force.
-BESIDES = ("gyroscopic_force", "friction_force")
+ADDED_FORCES = ("gyroscopic_force", "friction_force")
 # The output port with which a block requests the supervisor to act, by a value above 0.5.
 ABORT = "abort_request"
 TOLD = "told_force"  # force that the actuators report (faults not included)
 # Outputs of actuators for forces that follow from them: the mean force of each of n thrusters; the
 # angular momentum of wheels (world axes). These forces are held over a sample and recorded by their
 # own parts.
-FROM_ACTUATORS = {"thruster_force": "n", "stored_momentum": "3"}
-# Ports between fault detection and the actuators.
-OF_ACTUATORS, ISOLATED = (TOLD, "gyroscopic_force", "told_units", "wheel_momentum"), "isolated"
+READ_BY_FORCES = {"thruster_force": "n", "stored_momentum": "3"}
+# Outputs of actuators that fault detection reads, along v and by unit; and what it tells them.
+REPORTED_FORCES = (TOLD, "gyroscopic_force")
+REPORTED_UNITS = ("told_units", "wheel_momentum")
+ISOLATED = "isolated"
 HIDDEN_STATE, HIDDEN = "2 nh", "nh"  # nh: number of hidden coordinates (``model.flexible``)
 
 
@@ -83,8 +85,8 @@ BLOCKS: dict[str, Ports] = {
         optional_inputs={
             "true_state": STATE,
             "measurement_is_new": STATE,
-            **dict.fromkeys(OF_ACTUATORS, VELOCITY),
-            **dict.fromkeys(OF_ACTUATORS[2:], UNITS),
+            **dict.fromkeys(REPORTED_FORCES, VELOCITY),
+            **dict.fromkeys(REPORTED_UNITS, UNITS),
         },
         outputs={"estimated_state": STATE},
         # 1: this control sample has a new measurement, 0: it repeats an earlier one. Without
@@ -127,7 +129,7 @@ BLOCKS: dict[str, Ports] = {
         optional_inputs={"state": STATE, ISOLATED: UNITS},
         outputs={"applied_force": VELOCITY},
         # Forces on the plant in addition to the applied force, not held over a sample.
-        optional_outputs={**dict.fromkeys(BESIDES, VELOCITY), TOLD: VELOCITY},
+        optional_outputs={**dict.fromkeys(ADDED_FORCES, VELOCITY), TOLD: VELOCITY},
     ),
     "forces": Ports(
         outputs={"generalized_force": VELOCITY},
@@ -136,7 +138,7 @@ BLOCKS: dict[str, Ports] = {
             "state": STATE,
             "hidden_state": HIDDEN_STATE,
             "other_force": VELOCITY,
-            **FROM_ACTUATORS,
+            **READ_BY_FORCES,
         },
         # The force after the update of a control sample: the record would see the one before it.
         # The force on hidden coordinates, after the update of a control sample.
@@ -341,7 +343,7 @@ def block_sources(scenario: Scenario) -> dict[str, dict[str, str]]:
 def _sizes(coordinates: Coordinates) -> dict[str, int]:
     """Numbers in the ports of one spacecraft, by their size in words, where it is known."""
     nv = len(coordinates.names)
-    stored = FROM_ACTUATORS["stored_momentum"]
+    stored = READ_BY_FORCES["stored_momentum"]
     return {STATE: 2 * nv + 1, VELOCITY: nv, FRAME: FRAME_SIZE, NUMBER: 1, stored: 3}
 
 

@@ -31,11 +31,12 @@ from ffsm_drake.common.errors import BlockError
 from ffsm_drake.common.guard import calling, guarded, is_user_supplied
 from ffsm_drake.loop.blocks import (
     ABORT,
-    BESIDES,
+    ADDED_FORCES,
     BLOCKS,
-    FROM_ACTUATORS,
     ISOLATED,
-    OF_ACTUATORS,
+    READ_BY_FORCES,
+    REPORTED_FORCES,
+    REPORTED_UNITS,
     TOLD,
     WRENCH,
     make_blocks,
@@ -53,19 +54,6 @@ from ffsm_drake.systems.sampled import NEXT
 from ffsm_drake.systems.selection import make_selector
 from ffsm_drake.systems.start import state_at_start
 
-# Signals of every closed loop. Further signals: the controller's OPTIONAL_OUTPUTS, the actuators'
-# outputs, "hidden_state" with hidden coordinates, and "force_<name>" for each of several external
-# forces.
-LOOP_SIGNALS = (
-    "state",
-    "estimated_state",
-    "measurement",
-    "desired_state",
-    "desired_acceleration",
-    "generalized_force",
-    "applied_force",
-    "disturbance_force",
-)
 # Variables of the record.
 _force = functools.partial(Signal, unit=EFFORT, dimension="coordinate")
 FORCES = (
@@ -96,7 +84,10 @@ class ClosedLoop(OfMission):
     # "reference", "sensing", "controller", "forces.disturbance", other forces; "actuation" unless
     # it is ideal
     blocks: Mapping[str, System]
-    # signal -> the system and the name of its output port
+    # Signal -> the system and the name of its output port. Every loop has state, estimated_state,
+    # measurement, desired_state, desired_acceleration, generalized_force, applied_force and
+    # disturbance_force. Further signals: the controller's OPTIONAL_OUTPUTS, those of parts,
+    # "hidden_state" with hidden coordinates, "force_<name>" for each of several external forces.
     sources: Mapping[str, tuple[System, str]]
     parts: Parts = dataclasses.field(default_factory=dict)  # parts among ``blocks``
     grip: Grip = HELD  # what holds the target
@@ -108,7 +99,7 @@ class ClosedLoop(OfMission):
         return bool(self.blocks["controller"].HasInputPort("desired_frame"))
 
     def output_port(self, signal: str) -> OutputPort:
-        """Return the port of a signal of LOOP_SIGNALS; ``disturbance_force`` sums the external
+        """Return the port of a signal of ``sources``; ``disturbance_force`` sums the external
         forces.
         """
         system, name = self.sources[signal]
@@ -330,47 +321,49 @@ class _Wiring:
 
     def connect(self, parts: Parts, joint_force: np.ndarray | None) -> None:
         """All steps; ``parts`` are those whose signals are recorded."""
-        self._measure()
-        self._command()
-        self._actuate(joint_force)
-        self._act()
+        self._wire_sensing()
+        self._wire_command()
+        self._wire_actuation(joint_force)
+        self._wire_forces()
         self._record(parts)
 
-    def _measure(self) -> None:
+    def _wire_sensing(self) -> None:
         """The stages of sensing in a row: each reads the estimate of the one before."""
         self._signals["true_state"] = true = self._signals["state"]
         for stage in self._stages:
-            self._feed(stage)
-            self._add(stage, ("estimated_state", "measurement_is_new", ISOLATED))
+            self._connect_inputs(stage)
+            self._add_outputs(stage, ("estimated_state", "measurement_is_new", ISOLATED))
             self._signals["state"] = self._signals["estimated_state"]
         self._signals["state"] = true
         self.sources["estimated_state"] = self._signals["estimated_state"]
         # Measurement of the controller's last sample, for the record.
         self.sources["measurement"] = self._hold("estimated_state", "measurement")
 
-    def _command(self) -> None:
-        """From the planned motion to the command, which a supervisor may change both."""
+    def _wire_command(self) -> None:
+        """From the planned motion to the command; a supervisor may change both."""
         motion, supervisor = BLOCKS["reference"], self._blocks.get("supervisor")
-        self._add(self._blocks["reference"], (*motion.outputs, *motion.optional_outputs))
-        self._add(self._controller, ("generalized_force",))
+        self._add_outputs(self._blocks["reference"], (*motion.outputs, *motion.optional_outputs))
+        self._add_outputs(self._controller, ("generalized_force",))
         asking = [(each, ABORT) for each in self._blocks.values() if each.HasOutputPort(ABORT)]
         if supervisor is not None:
             if asking and supervisor.HasInputPort(ABORT):
                 self._signals[ABORT] = self._sum(ABORT, asking)
-            self._feed(supervisor)
+            self._connect_inputs(supervisor)
             ports = BLOCKS["supervisor"]
-            self._add(supervisor, (*ports.outputs, *ports.optional_outputs))
-        self._feed(self._controller)
+            self._add_outputs(supervisor, (*ports.outputs, *ports.optional_outputs))
+        self._connect_inputs(self._controller)
         known = (*motion.outputs, *motion.optional_outputs, "generalized_force")
         self.sources |= {name: self._signals[name] for name in known if name in self._signals}
 
-    def _actuate(self, joint_force: np.ndarray | None) -> None:
+    def _wire_actuation(self, joint_force: np.ndarray | None) -> None:
         """From the command to the applied force, which the controller receives."""
         actuation, applied = self._blocks.get("actuation"), self._signals["generalized_force"]
         if actuation is not None:
             self._signals["commanded_force"] = applied
-            self._feed(actuation)
-            self._add(actuation, (*OF_ACTUATORS, *FROM_ACTUATORS, *BESIDES))
+            self._connect_inputs(actuation)
+            self._add_outputs(
+                actuation, (*ADDED_FORCES, *REPORTED_FORCES, *REPORTED_UNITS, *READ_BY_FORCES)
+            )
             applied = (actuation, "applied_force")
         # no force acts there for any command
         if joint_force is not None or self._coordinates.undriven:
@@ -386,24 +379,25 @@ class _Wiring:
             applied = self._sum("applied", [applied, _output(held)])
         self.sources["applied_force"] = applied
         self._signals["applied_force"] = self._signals.setdefault(TOLD, applied)
-        self._feed(self._controller)
-        self._feed(*self._stages, ports=OF_ACTUATORS)  # their measurements are wired
+        self._connect_inputs(self._controller)
+        # their measurements are wired
+        self._connect_inputs(*self._stages, ports=(*REPORTED_FORCES, *REPORTED_UNITS))
 
-    def _act(self) -> None:
+    def _wire_forces(self) -> None:
         """All forces on the plant, along its own v: H q'' + C = tau + tau_d."""
         forces, own, hidden = self._forces, "generalized_force", "hidden_force"
-        self._feed(*forces)
+        self._connect_inputs(*forces)
         last = [system for system in forces if system.HasInputPort("other_force")]
-        besides = [self._signals[name] for name in BESIDES if name in self._signals]
+        added = [self._signals[name] for name in ADDED_FORCES if name in self._signals]
         others = [(system, own) for system in forces if system not in last]
-        acts = self._sum("total_force", [self.sources["applied_force"], *others, *besides])
+        acts = self._sum("total_force", [self.sources["applied_force"], *others, *added])
         if last:
             self._signals["other_force"] = acts
-            self._feed(*last)
+            self._connect_inputs(*last)
             acts = self._sum("last_force", [acts, *((system, own) for system in last)])
         for system in forces:
-            self._add(system, (WRENCH,))
-        self._feed(self._controller)
+            self._add_outputs(system, (WRENCH,))
+        self._connect_inputs(self._controller)
         on_hidden = [system for system in forces if system.HasOutputPort(hidden)]
         if self._split.names:
             acts = self._on_whole_plant(acts, [(system, hidden) for system in on_hidden])
@@ -411,7 +405,7 @@ class _Wiring:
         now = {
             name: _at_once(system, own)
             for name, system in self._blocks.items()
-            if system in forces and not any(map(system.HasInputPort, FROM_ACTUATORS))
+            if system in forces and not any(map(system.HasInputPort, READ_BY_FORCES))
         }
         self.sources["disturbance_force"] = self._sum("external_force", [*now.values()])
         if on_hidden:
@@ -441,7 +435,7 @@ class _Wiring:
                     held = self._hold(signal.name, f"{signal.name}_at_samples")
                     self.sources[signal.name] = held
 
-    def _feed(self, *systems: System, ports: Iterable[str] | None = None) -> None:
+    def _connect_inputs(self, *systems: System, ports: Iterable[str] | None = None) -> None:
         """Connect the input ports of systems, or those with some names, that read a signal and are
         not connected yet.
         """
@@ -451,7 +445,7 @@ class _Wiring:
                 if name in self._signals and not self._builder.IsConnectedOrExported(port):
                     self._builder.Connect(_port(self._signals[name]), port)
 
-    def _add(self, system: System, names: Iterable[str]) -> None:
+    def _add_outputs(self, system: System, names: Iterable[str]) -> None:
         """Add the outputs that a system has among some names."""
         self._signals |= {name: (system, name) for name in filter(system.HasOutputPort, names)}
 

@@ -24,9 +24,8 @@ SLIPPED, BOUNCED = "slipped", "bounced"  # the target left the gripper, closed o
 NOT_CAPTURED = (MISSED, SLIPPED, BOUNCED)
 FAILED = "failed"  # user-supplied code raised an exception or returned an unusable result
 OUTCOMES = (COMPLETED, *NOT_CAPTURED, DIVERGED, INTERRUPTED, FAILED)
+# Endings of a completed run, best first.
 SETTLED, NOT_SETTLED, GROWING = "settled", "not settled", "growing"
-# A completed run is one of the first three; best first.
-ENDINGS = (SETTLED, NOT_SETTLED, GROWING, *NOT_CAPTURED, DIVERGED, INTERRUPTED, FAILED)
 SETTLED_OVER = 1.0  # s, at the end of the run; over which errors are compared with the tolerance
 _WINDOWS = 3  # number of windows of that length, at the end, for the growth of the peak error
 _GROWTH = 1.5  # times, from each to the next
@@ -68,7 +67,7 @@ class Ending:
       ('not settled', False, False)
     """
 
-    status: str  # one of ENDINGS
+    status: str  # of an outcome; instead of COMPLETED: SETTLED, NOT_SETTLED or GROWING
     sentence: str  # the errors and their sizes
     coordinate: str = ""  # the coordinate furthest beyond its tolerance, or diverged
     # largest error over the last second, in tolerances; NaN if the run did not complete

@@ -61,9 +61,8 @@ class GraspLog:
 class RunLog(OfMission):
     """The time series of one run of a ``Rollout``. A ``RunRecord`` has more derived quantities.
 
-    ``series`` has arrays (n, width) by name: ``closed_loop.LOOP_SIGNALS`` without
-    ``estimated_state``, the optional outputs of the controller and, with flexible parts,
-    ``hidden_state``. Control sample k used or produced the values at row k.
+    ``series`` has arrays (n, width) by name: the ``sources`` of the closed loop without
+    ``estimated_state``. Control sample k used or produced the values at row k.
 
     Example:
       >>> from ffsm_drake import Rollout, load_scenario

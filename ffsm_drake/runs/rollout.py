@@ -201,26 +201,13 @@ class Rollout:
             times = times[: bad.sample]
             series = {name: values[: bad.sample] for name, values in series.items()}
         outcome = _outcome(monitor, float(times[-1]), failure, interrupted=interrupted)
-        log = _make_log(loop, outcome, times, series, self._wall_time(start, advance_time))
+        total = time.perf_counter() - start
+        wall_time = {"build": self._build_time, "advance_to": advance_time, "total": total}
+        log = _make_log(loop, outcome, times, series, wall_time)
         if failure is not None:
             failure.log = log
             raise failure
         return log
-
-    def _accepted(self, scenario: Scenario | Mission) -> Mission:
-        """Return the mission to run. Raises ScenarioError: it needs another build."""
-        given = scenario.scenario if isinstance(scenario, Mission) else scenario
-        if not self.accepts(given):
-            raise ScenarioError(
-                "scenario",
-                "differs from the built one in more than a run can change; build another",
-            )
-        return scenario if isinstance(scenario, Mission) else self.loop.mission.of(scenario)
-
-    def _wall_time(self, start: float, advance_time: float) -> dict[str, float]:
-        """Wall time of a run with a given start, s."""
-        total = time.perf_counter() - start
-        return {"build": self._build_time, "advance_to": advance_time, "total": total}
 
     @guarded
     def check(self) -> None:
@@ -237,6 +224,16 @@ class Rollout:
             if passes(error):
                 raise
             raise self._failure(error, context) from error
+
+    def _accepted(self, scenario: Scenario | Mission) -> Mission:
+        """Return the mission to run. Raises ScenarioError: it needs another build."""
+        given = scenario.scenario if isinstance(scenario, Mission) else scenario
+        if not self.accepts(given):
+            raise ScenarioError(
+                "scenario",
+                "differs from the built one in more than a run can change; build another",
+            )
+        return scenario if isinstance(scenario, Mission) else self.loop.mission.of(scenario)
 
     def _advance(
         self, monitor: Monitor, leg: Leg, *, watched: bool
@@ -262,14 +259,14 @@ class Rollout:
             if self._checked_in_log
             else contextlib.nullcontext()
         )
-        signals = 0
+        signal_before = 0
         try:
             with interruptible() as interruption, same_folder(), unremarked:
-                signals = interruption.number
+                signal_before = interruption.number
                 simulator.Initialize()
                 for period in (*range(leg.first, last, stop_periods), last):
                     simulator.AdvanceTo(period * sample_time)
-                    if interruption.number != signals:  # and the exception was lost
+                    if interruption.number != signal_before:  # and the exception was lost
                         raise KeyboardInterrupt
                     if monitor.message or not monitor.check(context):
                         break
@@ -281,7 +278,9 @@ class Rollout:
         except BaseException as error:
             # User-supplied code may raise anything, and turn the exception of Ctrl-C into another.
             through = passes(error) and not isinstance(error, BlockError)
-            if interruption.number != signals or (through and isinstance(error, KeyboardInterrupt)):
+            if interruption.number != signal_before or (
+                through and isinstance(error, KeyboardInterrupt)
+            ):
                 interrupted = True
             elif through:
                 raise

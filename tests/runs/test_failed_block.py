@@ -11,7 +11,7 @@ from children import PIPE, child
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import BlockError, ControlLaw, RunRecord, load_scenario, simulate
-from ffsm_drake.loop.blocks import FROM_ACTUATORS, OF_ACTUATORS
+from ffsm_drake.loop.blocks import READ_BY_FORCES, REPORTED_UNITS
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.controllers.laws.pd_plus import PdPlus
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
@@ -149,8 +149,8 @@ def reading(port, outputs):
     return Reads
 
 
-UNFED = [("forces", port, (("generalized_force", "force"),)) for port in FROM_ACTUATORS]
-UNFED += [("sensing", port, (("estimated_state", "state"),)) for port in OF_ACTUATORS[2:]]
+UNFED = [("forces", port, (("generalized_force", "force"),)) for port in READ_BY_FORCES]
+UNFED += [("sensing", port, (("estimated_state", "state"),)) for port in REPORTED_UNITS]
 
 
 @pytest.mark.parametrize(("kind", "port", "outputs"), UNFED)

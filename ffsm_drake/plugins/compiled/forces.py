@@ -4,7 +4,7 @@ import functools
 
 import numpy as np
 
-from ffsm_drake.loop.blocks import BESIDES
+from ffsm_drake.loop.blocks import ADDED_FORCES
 from ffsm_drake.plugins.compiled.blocks import at_start
 from ffsm_drake.plugins.compiled.instant import Instant, Made
 from ffsm_drake.plugins.compiled.stepping import joined, parted, read, zeros
@@ -130,7 +130,7 @@ class Forces(Instant):
             force = force + push
         for outputs in self._touches.values():
             force = self._along(force, outputs)
-        for name in filter(flown.__contains__, BESIDES):
+        for name in filter(flown.__contains__, ADDED_FORCES):
             force = self._along(force, {"generalized_force": flown[name]})
         return force, rates
 

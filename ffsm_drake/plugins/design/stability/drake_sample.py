@@ -11,7 +11,7 @@ from pydrake.systems.framework import Context, Diagram, System
 from pydrake.systems.primitives import RandomSource
 
 from ffsm_drake.common.lifetime import untie
-from ffsm_drake.loop.blocks import FROM_ACTUATORS
+from ffsm_drake.loop.blocks import READ_BY_FORCES
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.actuators.drives import FRICTION
@@ -82,7 +82,7 @@ class DrakeSample:
                 leaf.SetDefaultContext(leaf.GetMyMutableContextFromRoot(self._context))
         for block in self.loop.blocks.values():
             context = block.GetMyMutableContextFromRoot(self._context)
-            for port in map(block.GetInputPort, filter(block.HasInputPort, FROM_ACTUATORS)):
+            for port in map(block.GetInputPort, filter(block.HasInputPort, READ_BY_FORCES)):
                 if not port.HasValue(context):  # the actuators are ideal here
                     port.FixValue(context, np.zeros(port.size()))
         state = self.loop.whole_state(self._context)
