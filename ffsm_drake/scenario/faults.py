@@ -151,8 +151,7 @@ class Faults:
             )
         if scenario.undriven:
             yield key, "needs all coordinates driven; set actuation.driven: [all]"
-        late = [n for n, each in self.events.items() if max(each.time) > scenario.duration]
-        for name in late:
-            if not math.isinf(scenario.duration):
+        for name, fault in self.events.items():
+            if max(fault.time) > scenario.duration:
                 end = f"is after the end of the run, {scenario.duration:g} s"
                 yield f"{key}.events.{name}.time", end

@@ -107,7 +107,7 @@ class Progress:
         if self.unsettled:
             parts.append(f"{self.unsettled} not settled")
         if self.failed:
-            parts.append(f"{self.failed} error{'s' if self.failed > 1 else ''}")
+            parts.append(counted(self.failed, "error"))
         return ", ".join(parts)
 
 

@@ -18,7 +18,7 @@ isolated, and an abort stays requested.
 """
 
 import functools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -67,11 +67,18 @@ class FaultDetection(Part):
     def metrics(self) -> Sequence[Metric]:
         """Numbers and times of detections, and times of the ends of faults."""
         by_name = functools.partial(Metric, column="")
+
+        def of(pick: Callable[[np.ndarray], float]) -> Callable[[View], dict[str, float]]:
+            return lambda run: {name: pick(turns) for name, turns in _turns(run).items()}
+
+        def ended(run: View) -> dict[str, float]:
+            return {name: turns[-1] for name, turns in _turns(run).items() if len(turns) % 2 == 0}
+
         return (
-            by_name(key="faults.noticed", unit="s", of=lambda run: _noticed(run, min)),
-            by_name(key="faults.noticed_last", unit="s", of=lambda run: _noticed(run, max)),
-            by_name(key="faults.detections", unit="1", of=lambda run: _noticed(run, len)),
-            by_name(key="faults.ended", unit="s", of=_ended),
+            by_name(key="faults.noticed", unit="s", of=of(lambda turns: turns[0])),
+            by_name(key="faults.noticed_last", unit="s", of=of(lambda turns: turns[::2][-1])),
+            by_name(key="faults.detections", unit="1", of=of(lambda turns: len(turns[::2]))),
+            by_name(key="faults.ended", unit="s", of=ended),
         )
 
     def sentence(self, figures: Sequence[Figure]) -> str:
@@ -88,35 +95,17 @@ class FaultDetection(Part):
         return f"Faults detected: {', '.join(listed) or 'none'}"
 
 
-def _changes(run: View) -> Iterator[tuple[str, float, bool]]:
-    """Unit and kind, time in s, and whether the fault was detected then; else it ended."""
-    codes = np.asarray(run["fault_detected"])
-    for unit, of_unit in zip(units_of(run.scenario, run.coordinates), codes.T, strict=True):
-        before = np.concatenate([[0.0], of_unit[:-1]])
-        for k in np.flatnonzero(of_unit != before):
-            for code, begins in ((before[k], False), (of_unit[k], True)):
-                if code:
-                    yield f"{unit} {KINDS[int(code)]}", float(run.time[k]), begins
-
-
-def _noticed(run: View, of: Callable[[list[float]], float]) -> dict[str, float]:
-    """Unit and kind -> function ``of`` the times of its detections, s; the first one first."""
-    found = dict[str, list[float]]()
-    for name, time, begins in _changes(run):
-        if begins:
-            found.setdefault(name, []).append(time)
-    return {name: of(found[name]) for name in sorted(found, key=lambda name: found[name][0])}
-
-
-def _ended(run: View) -> dict[str, float]:
-    """Unit and kind -> time since which the unit works again, s; without those that do not."""
-    found = dict[str, float]()
-    for name, time, begins in _changes(run):
-        if begins:
-            found.pop(name, None)
-        else:
-            found[name] = time
-    return found
+def _turns(run: View) -> dict[str, np.ndarray]:
+    """Unit and kind -> times at which its detections begin and end, in turn, s; sorted by the first
+    detection.
+    """
+    found = dict[str, np.ndarray]()
+    units = units_of(run.scenario, run.coordinates)
+    for unit, codes in zip(units, run["fault_detected"].T, strict=True):
+        for code in np.unique(codes[codes > 0.0]):
+            is_found = np.concatenate([[False], codes == code])
+            found[f"{unit} {KINDS[int(code)]}"] = run.time[np.diff(is_found)]
+    return dict(sorted(found.items(), key=lambda item: item[1][0]))
 
 
 class Detector(ForceWatch, Sampled):
