@@ -2,9 +2,11 @@
 
 import dataclasses
 import functools
+import threading
 from collections.abc import Callable, Hashable
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
+from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.memo import content_of
 from ffsm_drake.scenario import Scenario, planned_part
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
@@ -15,6 +17,8 @@ R = TypeVar("R")
 Of = Callable[Concatenate["Mission", P], R]
 # sections of a scenario that a craft is made from; a block may replace the section ``actuation``
 _OF_CRAFT = ("model", "payload", "actuation", "blocks")
+_MOST = 64  # results kept of a mission, or of a plan
+_LAST = threading.local()  # the mission that ``make_mission`` made last
 
 
 class Mission:
@@ -29,6 +33,7 @@ class Mission:
         self.scenario, self.craft = scenario, Craft(scenario)
         self.results = dict[Hashable, Any]()
         self.plan = dict[Hashable, Any]()  # results that depend on the planned part alone
+        self._contents = _contents_of(scenario)
 
     def of(self, scenario: Scenario) -> "Mission":
         """Return the mission of another scenario, with this craft and these plans if the scenario
@@ -38,10 +43,9 @@ class Mission:
             return self
         other = object.__new__(Mission)
         other.scenario, other.results = scenario, {}
-        own = [content_of(getattr(self.scenario, name)) for name in _OF_CRAFT]
-        is_same = own == [content_of(getattr(scenario, name)) for name in _OF_CRAFT]
-        other.craft = self.craft if is_same else Craft(scenario)
-        other.plan = self.plan if _plan_of(scenario) == _plan_of(self.scenario) else {}
+        other._contents = (of_craft, of_plan, _) = _contents_of(scenario)
+        other.craft = self.craft if of_craft == self._contents[0] else Craft(scenario)
+        other.plan = self.plan if of_plan == self._contents[1] else {}
         return other
 
     def flown_by(self, **changes: Any) -> "Mission":
@@ -72,14 +76,37 @@ class OfMission:
 
 
 def make_mission(given: Scenario | Mission) -> Mission:
-    """Return the mission of a scenario; a mission itself. Raises ModelError: see ``Mission``."""
-    return given if isinstance(given, Mission) else Mission(given)
+    """Return the mission of a scenario; a mission itself.
+
+    It has the plans of the mission made last in this thread, if neither the scenario nor the files
+    of its model change them.
+
+    Raises:
+      ModelError: see ``Mission``.
+      ScenarioError: the scenario of a given mission has been changed.
+    """
+    if isinstance(given, Mission):
+        if _contents_of(given.scenario) != given._contents:  # kept results are of the old one
+            raise ScenarioError("scenario", "changed after its mission was made; make a new one")
+        return given
+    mission = Mission(given)
+    last = getattr(_LAST, "mission", mission)
+    # the file of a plan, or the code of own phases, may have changed
+    is_settled = given.reference.kind != "optimal" and not given.blocks.phases
+    has_same_files = last.craft.rigid is mission.craft.rigid
+    if is_settled and has_same_files and last._contents[1] == mission._contents[1]:
+        mission.plan = last.plan
+    _LAST.mission = mission
+    return mission
 
 
-def _plan_of(scenario: Scenario) -> Hashable:
+def _contents_of(scenario: Scenario) -> tuple[Hashable, Hashable, Hashable]:
+    """Return what the craft of a scenario depends on, what its plans do, and all of it."""
+    of_craft = content_of([getattr(scenario, name) for name in _OF_CRAFT])
     # own phases may read any setting
     whole = planned_part(scenario, with_target=True)
-    return content_of(scenario if scenario.blocks.phases else whole)
+    of_plan = content_of(scenario if scenario.blocks.phases else whole)
+    return of_craft, of_plan, content_of(scenario)
 
 
 def kept(function: Of[P, R]) -> Of[P, R]:
@@ -99,7 +126,10 @@ def _once(function: Of[P, R], results_of: Callable[[Mission], dict[Hashable, Any
     def once(mission: Mission, /, *args: P.args, **kwargs: P.kwargs) -> R:
         results, key = results_of(mission), (function, content_of((args, kwargs)))
         if key not in results:
-            results[key] = function(mission, *args, **kwargs)
+            made = function(mission, *args, **kwargs)
+            if len(results) >= _MOST:
+                del results[next(iter(results))]
+            results[key] = made
         found: R = results[key]
         return found
 

@@ -13,7 +13,7 @@ from ffsm_drake.scenario import Override, Scenario
 class Judge(Protocol):
     """Judges missions. The functions of a mission raise the errors of its plan and its loop."""
 
-    def remarks(self, given: Scenario | Mission) -> list[str]:
+    def remarks(self, mission: Mission) -> list[str]:
         """Return a line for each limit that the plan exceeds, and for each changed mass."""
 
     def warnings(self, mission: Mission) -> Iterable[str]:
@@ -36,7 +36,7 @@ class Judge(Protocol):
         Raises BlockError: the law fails.
         """
 
-    def distance(self, mission: Scenario | Mission) -> float:
+    def distance(self, mission: Mission) -> float:
         """Return the distance of the controller to the LQG limit, 1: at the limit."""
 
     def advice(self, record: RunRecord) -> list[str]:

@@ -161,22 +161,22 @@ class PhasedRollout:
 
     def __init__(
         self,
-        scenario: Scenario | Mission,
+        mission: Mission,
         *,
         blocks: Mapping[str, Factory] | None = None,
         meshcat: Meshcat | None = None,
     ) -> None:
         """Arguments and errors: see ``Rollout``."""
-        self._blocks, self._mission = blocks, make_mission(scenario)
+        self._blocks, self._mission = blocks, mission
         self._loops = dict[Grip, Rollout]()  # of phases that differ in nothing else
         how: Any = {"blocks": blocks, "meshcat": meshcat}
-        for closed in closing_times(self._mission.scenario):
+        for closed in closing_times(mission.scenario):
             grip = Grip(closed=closed)
-            self._loops[grip] = Rollout(self._mission, grip=grip, **how)
-            if grip == HELD and self._mission.scenario.grasp_time > 0.0:
+            self._loops[grip] = Rollout(mission, grip=grip, **how)
+            if grip == HELD and mission.scenario.grasp_time > 0.0:
                 view = None if meshcat is None else TARGET_VIEWS.first()
-                show = None if view is None else view(self._mission)
-                self._loops[EMPTY] = Rollout(self._mission, grip=EMPTY, show=show, **how)
+                show = None if view is None else view(mission)
+                self._loops[EMPTY] = Rollout(mission, grip=EMPTY, show=show, **how)
 
     def phases(self, mission: Mission) -> Phases:
         """The phases of a mission."""
@@ -217,10 +217,8 @@ class PhasedRollout:
     ) -> RunLog:
         """As ``Rollout.run``. At a sample of a grasp, the log has the velocity after it."""
         start, mission = time.perf_counter(), self._mission
-        if isinstance(scenario, Mission):
-            mission = scenario
-        elif scenario is not None:
-            mission = mission.of(scenario)
+        if scenario is not None:
+            mission = scenario if isinstance(scenario, Mission) else mission.of(scenario)
         course, alone = Course(self.phases(mission), mission), list[Rollout]()
 
         def joined() -> RunLog:

@@ -16,7 +16,7 @@ from ffsm_drake.common.settings import settings_of
 from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import block_sources
 from ffsm_drake.loop.closed_loop import ClosedLoop
-from ffsm_drake.mission import Mission
+from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.engine import DRAKE, Engine, NotCovered, find_engine, on_drake
@@ -118,8 +118,8 @@ def _computed(engine: Engine, mission: Mission) -> RunLog | None:
 
 def _checked(given: Scenario | Mission) -> Mission:
     if isinstance(given, Mission):
-        return given.of(checked(given.scenario))
-    return Mission(checked(given))
+        return make_mission(given).of(checked(given.scenario))
+    return make_mission(checked(given))
 
 
 def prepare(
@@ -274,14 +274,13 @@ def simulate_many(
     """
     start = time.perf_counter()
     results: list[Any] = [None] * len(scenarios)
-    ready, before = dict[int, Mission](), None
+    ready = dict[int, Mission]()
     with same_folder():
         for index, given in enumerate(scenarios):
             try:
-                scenario = checked(given)
-                mission = before.of(scenario) if before else Mission(scenario)
-                has_own = scenario.blocks.reference is None
-                ready[index] = before = timed(mission) if has_own else mission
+                mission = make_mission(checked(given))
+                has_own = mission.scenario.blocks.reference is None
+                ready[index] = timed(mission) if has_own else mission
             except Exception as error:
                 results[index] = error
         places = list(ready)

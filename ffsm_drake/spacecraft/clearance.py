@@ -17,10 +17,10 @@ that body is checked in the rest position.
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
-from pydrake.geometry import Mesh, Role, SceneGraph, Shape
+from pydrake.geometry import Mesh, Role, Shape
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Joint, RigidBody
@@ -133,10 +133,8 @@ class Clearance:
             )
         }
         self._bodies = [self.plant.get_body(BodyIndex(i)) for i in range(self.plant.num_bodies())]
-        parts = flexible_parts().flexible_bodies(self.plant, model) if model.flexible else ()
         self._shapes, self.unmeasured = list[_Shape](), list[str]()
-        drawn = drawn_plant(model, flexible=flexible)
-        self._gather(drawn, {body.index(): plate for body, plate in parts}, invented=invented)
+        self._gather(model, flexible=flexible, invented=invented)
         self._shaped = [b for b in self._bodies if any(s.body is b for s in self._shapes)]
         try:
             self._solids = Solids(
@@ -153,15 +151,11 @@ class Clearance:
             frozenset[frozenset[BodyIndex]], tuple[np.ndarray, list[tuple[RigidBody, RigidBody]]]
         ]()
 
-    def _gather(
-        self,
-        drawn: tuple[MultibodyPlant, SceneGraph],
-        is_plate: Mapping[BodyIndex, bool],
-        *,
-        invented: bool,
-    ) -> None:
+    def _gather(self, model: Model, *, flexible: bool, invented: bool) -> None:
         """Find the shapes that count, and name those that cannot be measured."""
-        plant, scene_graph = drawn
+        parts = flexible_parts().flexible_bodies(self.plant, model) if model.flexible else ()
+        is_plate = {body.index(): plate for body, plate in parts}
+        plant, scene_graph = drawn_plant(model, flexible=flexible)
         inspector = scene_graph.model_inspector()
         for body in self._bodies:
             frame = plant.GetBodyFrameIdOrThrow(body.index())

@@ -10,7 +10,7 @@ from pydrake.systems.framework import Context
 from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
 from ffsm_drake.spacecraft.limits import Limit, urdf_limits
-from ffsm_drake.spacecraft.mass_properties import set_masses, set_payload
+from ffsm_drake.spacecraft.mass_properties import set_drives, set_payload, set_wheels
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import coordinates_of, flexible_parts, parsed_plant, split_of
 
@@ -63,10 +63,7 @@ class Craft:
             is_flexible = kind == "flexible"
             plant = self.whole if is_flexible else self.rigid
             context = plant.CreateDefaultContext()
-            payload = grip.carried(self._scenario.payload)
-            is_nominal = kind == "nominal"
-            properties = payload.nominal if is_nominal else payload.truth
-            set_masses(plant, context, self._scenario, properties, nominal=is_nominal)
+            self._set_masses(plant, context, grip, nominal=kind == "nominal")
             if is_flexible:
                 self._set_springs(plant, context)
             self._made[key] = PlantModel(
@@ -80,9 +77,19 @@ class Craft:
 
     def set_true_masses(self, plant: MultibodyPlant, context: Context, grip: Grip) -> None:
         """Set true masses and springs in a new context of a plant like ``whole``."""
-        payload = grip.carried(self._scenario.payload).truth
-        set_masses(plant, context, self._scenario, payload)
+        self._set_masses(plant, context, grip)
         self._set_springs(plant, context)
+
+    def _set_masses(
+        self, plant: MultibodyPlant, context: Context, grip: Grip, *, nominal: bool = False
+    ) -> None:
+        """Set payload, wheels and drives in a new context."""
+        scenario, payload = self._scenario, grip.carried(self._scenario.payload)
+        properties = payload.nominal if nominal else payload.truth
+        # first: a rotor may be the only inertia that a joint moves
+        set_drives(plant, context, scenario.drives, nominal=nominal)
+        set_payload(plant, context, body=payload.body, properties=properties)
+        set_wheels(plant, context, scenario.wheels)
 
     def change_payload(
         self, plant: MultibodyPlant, context: Context, properties: MassProperties

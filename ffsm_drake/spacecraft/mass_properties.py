@@ -6,7 +6,7 @@ from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.framework import Context
 
 from ffsm_drake.common.errors import ModelError, ScenarioError
-from ffsm_drake.scenario import Drives, MassProperties, Scenario, Wheels, inertia_matrix
+from ffsm_drake.scenario import Drives, MassProperties, Wheels, inertia_matrix
 from ffsm_drake.spacecraft.inertia import rotational_inertia, spatial_inertia_about
 from ffsm_drake.spacecraft.plant import (
     DRAKE_ERRORS,
@@ -124,20 +124,3 @@ def set_payload(
             f"payload.body: the mass matrix is singular, because {what} moves a negligible "
             f"inertia; use heavier links or less than {properties.mass:g} kg on {body}"
         )
-
-
-def set_masses(
-    plant: MultibodyPlant,
-    context: Context,
-    scenario: Scenario,
-    payload: MassProperties,
-    *,
-    nominal: bool = False,
-) -> None:
-    """Set payload, wheels and drives in a new context. Raises the errors of the functions
-    called.
-    """
-    # first: a rotor may be the only inertia that a joint moves
-    set_drives(plant, context, scenario.drives, nominal=nominal)
-    set_payload(plant, context, body=scenario.payload.body, properties=payload)
-    set_wheels(plant, context, scenario.wheels)

@@ -15,8 +15,9 @@ from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.compiled.case import case_of
 from ffsm_drake.plugins.estimators import coupled
 from ffsm_drake.plugins.planning import tvlqr
-from ffsm_drake.scenario import EMPTY, HELD
+from ffsm_drake.scenario import EMPTY, HELD, checked
 from ffsm_drake.systems.controllers import make_law
+from ffsm_drake.systems.reference import make_motion
 
 
 def _drawn(seed):
@@ -73,6 +74,14 @@ def _memoised():
 
 def test_results_of_a_scenario_are_kept_by_its_mission():
     assert set(_memoised()) == {"returned_shares"}
+
+
+def test_plans_are_kept_until_the_scenario_changes():
+    scenario = load_scenario("postcapture")
+    motion = make_motion(make_mission(scenario))
+    assert make_motion(make_mission(checked(scenario))) is motion
+    scenario.reference.duration = 3.0
+    assert make_motion(make_mission(scenario)).end == 3.0
 
 
 @pytest.mark.parametrize("of", [_gains_of, _gains_along, _case_of], ids=lambda each: each.__name__)

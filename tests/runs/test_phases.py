@@ -55,7 +55,7 @@ def _of_law(name):
 
 @pytest.mark.parametrize("is_kept", [False, True])
 def test_a_change_of_loops_keeps_the_bits(is_kept):
-    alone, rollout = Rollout(SCENARIO).run(), TwoPhases(SCENARIO)
+    alone, rollout = Rollout(SCENARIO).run(), TwoPhases(Mission(SCENARIO))
     if not is_kept:  # a loop of its own
         rollout.second = dataclasses.replace(rollout.second, plan=Mission(SCENARIO))
     for _ in range(2):
@@ -71,13 +71,13 @@ def test_a_change_of_loops_keeps_the_bits(is_kept):
 
 
 def test_a_run_that_diverges_goes_through_no_further_phase():
-    log = TwoPhases(dataclasses.replace(SCENARIO, divergence_speed=1e-6)).run()
+    log = TwoPhases(Mission(dataclasses.replace(SCENARIO, divergence_speed=1e-6))).run()
     assert log.outcome.status == DIVERGED
     assert log.time[-1] < 0.25
 
 
 def test_an_outcome_that_leads_nowhere_ends_the_run():
-    rollout = TwoPhases(SCENARIO)
+    rollout = TwoPhases(Mission(SCENARIO))
     rollout.outcome = "lost"
     assert rollout.run().time.size == 25
 
@@ -86,15 +86,15 @@ def test_nothing_in_the_gripper_is_lighter():
     """The first force of a law with a model is that of the phase's own payload."""
     forces = {}
     for grip in (HELD, EMPTY):
-        rollout = TwoPhases(motion := _of_law("computed_torque"))
-        rollout.first = Phase(names=(("only", None),), plan=Mission(motion), grip=grip)
+        rollout = TwoPhases(motion := Mission(_of_law("computed_torque")))
+        rollout.first = Phase(names=(("only", None),), plan=motion, grip=grip)
         forces[grip] = np.abs(rollout.run().series["generalized_force"][5:]).max(axis=0)
     assert (forces[EMPTY][6:] < 0.7 * forces[HELD][6:]).all()
 
 
 @pytest.mark.parametrize("laws", [("tde_aismc", "pd_plus"), ("pd_plus", "tde_aismc")])
 def test_series_of_one_phase_are_nan_in_the_other(laws):
-    rollout = TwoPhases(_of_law(laws[0]))
+    rollout = TwoPhases(Mission(_of_law(laws[0])))
     own = {"controller": controller_factory(_of_law(laws[1]))}
     rollout.second = dataclasses.replace(rollout.second, blocks=own, afresh=("controller",))
     log = rollout.run()

@@ -25,6 +25,7 @@ from ffsm_drake.cli import main
 from ffsm_drake.common.errors import placed
 from ffsm_drake.common.registrations import VERBS
 from ffsm_drake.common.settings import Setting, settings_of
+from ffsm_drake.mission import make_mission
 from ffsm_drake.runs.judge import JUDGES
 from ffsm_drake.scenario import Scenario, checked
 from ffsm_drake.scenario.resolving import schema_fields, without_null
@@ -244,3 +245,15 @@ def test_a_file_that_holds_a_text_is_no_override(tmp_path, text):
     path.write_text(text)
     with pytest.raises(ScenarioError, match=rf"mine.yaml: must be a mapping .*, not '{text}'"):
         load_scenario(path)
+
+
+@SETTINGS
+@given(CASES)
+def test_of_a_mission_whose_scenario_was_changed(case):
+    place, value = case
+    if place.key.startswith("simulator_config."):
+        assume(isinstance(value, float))
+    mission = make_mission(checked(Scenario()))
+    put(mission.scenario, place.key, value)
+    with pytest.raises(ScenarioError, match=r"^scenario: changed after its mission was made"):
+        make_closed_loop(mission)

@@ -22,7 +22,7 @@ from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.numbers import number
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of
-from ffsm_drake.mission import Mission
+from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.plugins.campaign.cases import Case, scenario_of, with_controller
 from ffsm_drake.plugins.campaign.prediction import predict_many
 from ffsm_drake.plugins.campaign.spec import OLD_ENGINE, Spec, spec_from_json
@@ -349,9 +349,7 @@ class Evaluator:
     def _mission_of(self, case: Case, controller: str) -> Mission:
         """Return the mission of a case, with any of its controllers."""
         if self._last is None or self._last[0] != case.index:
-            scenario = scenario_of(self._spec, case, controller)
-            before = None if self._last is None else self._last[1]
-            mission = timed(before.of(scenario) if before else Mission(scenario))
+            mission = timed(make_mission(scenario_of(self._spec, case, controller)))
             if mission.scenario.approach is not None:  # one that is refused would stop all
                 GRASPINGS.only("capture.approach").approach(mission)
             self._last = case.index, mission

@@ -9,7 +9,6 @@ from ffsm_drake.plugins.design.remedy_file import write_remedy
 from ffsm_drake.plugins.design.stability.own_adaptation import own_adaptation
 from ffsm_drake.plugins.design.verdict import helpful_remarks, mission, verdict
 from ffsm_drake.runs.judge import Judge
-from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.systems.reference import make_motion
 
@@ -32,7 +31,7 @@ class LinearJudge(Judge):
         model = driven_model(mission.craft.nominal())
         return own_adaptation(law, mission.scenario, model, make_motion(mission)).uncovered
 
-    def distance(self, mission: Scenario | Mission) -> float:
+    def distance(self, mission: Mission) -> float:
         """See Judge."""
         from ffsm_drake.plugins.design.limit import find_limit  # slow to import
 

@@ -44,13 +44,13 @@ _LEAST_DAMPING = 1e-4
 _PHASE = 0.5
 
 
-def plan_remarks(given: Scenario | Mission) -> list[str]:
+def plan_remarks(mission: Scenario | Mission) -> list[str]:
     """A line for each limit exceeded by a scenario, and for each overridden value of its model.
 
     Raises:
       ModelError, ScenarioError: the model or a posture cannot be used.
     """
-    mission = make_mission(given)
+    mission = make_mission(mission)
     scenario, plant = mission.scenario, mission.craft.rigid
     remarks = [
         *_cut_short(scenario),

@@ -21,7 +21,7 @@ from ffsm_drake.plugins.capture.grasping import seen_from
 from ffsm_drake.plugins.capture.page import grasp_of
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.metrics import momentum_residual, phases_of
-from ffsm_drake.runs.phases import PhasedRollout, make_rollout
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.runs.simulate import make_record
 from ffsm_drake.scenario import NOTHING, MassProperties, Payload, Scenario
 from ffsm_drake.show.results import results_of
@@ -35,7 +35,7 @@ GRASP = 200  # the sample
 
 @pytest.fixture(scope="module")
 def rollout():
-    return PhasedRollout(SCENARIO)
+    return make_rollout(SCENARIO)
 
 
 @pytest.fixture(scope="module")
