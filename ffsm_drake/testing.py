@@ -186,13 +186,9 @@ class _Candidate:
     factory: Factory
     gains: Mapping[str, PerCoordinate]
 
-    def mission(self, scenario: Scenario) -> Mission:
-        key = name_of(self.factory)
-        gains: dict[str, Any] = {key: dict(self.gains)}
-        return Mission(dataclasses.replace(scenario, controller=key, controllers=gains))
-
     def build(self, scenario: Scenario) -> System:
-        mission = self.mission(scenario)
+        key = name_of(self.factory)
+        mission = Mission(dataclasses.replace(scenario, controllers={key: dict(self.gains)}))
         controller = make_controller(mission, mission.craft.nominal(), self.factory)
         check_ports(controller, "controller", mission.craft.coordinates, place=str(self))
         return controller
@@ -379,7 +375,7 @@ def _check_names(candidate: _Candidate, scenario: Scenario) -> str:
 def _check_adaptation(candidate: _Candidate, scenario: Scenario) -> str:
     """Empty for a controller without a law, or without the plug-in that analyses it."""
     judge, law = JUDGES.first(), getattr(candidate.build(scenario), "law", None)
-    uncovered = judge.uncovered(candidate.mission(scenario), law) if judge and law else ""
+    uncovered = judge.uncovered(Mission(scenario), law) if judge and law else ""
     return uncovered and f"not covered by the stability analysis: {uncovered}"
 
 

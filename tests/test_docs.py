@@ -452,8 +452,9 @@ def test_the_tutorial_is_stored_without_outputs():
     assert notebook["metadata"]["kernelspec"]["name"] == "python3"
 
 
-# the law itself, its fields, gains of the paper's laws, and what an engine records of its own law
-NO_HOOKS = {"step", "model", "sample_time", "k_p", "k_s", "logged"}
+# the law itself, its fields, gains of the paper's laws, what an engine records of its own law, and
+# the step of a factory of forces
+NO_HOOKS = {"step", "model", "sample_time", "k_p", "k_s", "logged", "flow"}
 READ = re.compile(r"(?:getattr|hasattr|attribute_of)\(\s*(?:[\w.]+\.)?(?:law|factory)\b, \"(\w+)\"")
 
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from ffsm_drake.common.errors import BlockError, FfsmError, one_line
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, FAILED, INTERRUPTED, NOT_CAPTURED
-from ffsm_drake.runs.metrics import isv_of, itae_of
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show.style import Style, labels_of, styles_of
 
@@ -54,14 +53,6 @@ class Result:
         with suppress(KeyError):
             value = of(data) if data.sizes.get("time", 0) else None
         return math.nan if value is None else value
-
-    @property
-    def itae(self) -> float:
-        return self.figure(itae_of)
-
-    @property
-    def isv(self) -> float:
-        return self.figure(isv_of)
 
     @property
     def kinds(self) -> list[tuple[str, str]]:

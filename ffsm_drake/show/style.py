@@ -100,11 +100,10 @@ def label_of(controller: str) -> str:
     """Return a controller's display name: the ``label`` of its class, or its name; the class for
     ``module:Class``.
     """
-    if controller not in block_names("controller"):
-        return controller.rpartition(":")[2]
-    with suppress(FfsmError, TypeError):  # an installed law that cannot be imported keeps its name
-        return vars(find_factory("controller", controller)).get("label", controller)
-    return controller
+    if controller in block_names("controller"):
+        with suppress(FfsmError, TypeError):  # one that cannot be imported keeps its name
+            return vars(find_factory("controller", controller)).get("label", controller)
+    return controller.rpartition(":")[2]
 
 
 def styles_of(controllers: Sequence[str]) -> list[Style]:

@@ -146,14 +146,9 @@ class ReachingGain:
     rest: Callable[[np.ndarray], np.ndarray] = np.zeros_like
 
     @property
-    def is_adapted(self) -> bool:
-        """True if K_s is part of the law's memory, as ``reaching_gain``."""
-        return self.rate is not None
-
-    @property
     def changes(self) -> bool:
         """True if adaptation can change K_s."""
-        return not np.array_equal(self.largest, self.start)
+        return self.rate is not None and not np.array_equal(self.largest, self.start)
 
 
 class ControlLaw(abc.ABC):
@@ -300,10 +295,7 @@ class WrappedLaw(ControlLaw):
     sliding_unit = property(attrgetter("law.sliding_unit"))
     reaching_gain = property(attrgetter("law.reaching_gain"))
     random_walks = property(attrgetter("law.random_walks"))
-
-    def held(self) -> Mapping[str, float | None]:
-        """See ControlLaw."""
-        return self.law.held()
+    held = property(attrgetter("law.held"))
 
 
 def gains_of(kind: Any) -> dict[str, Gain]:
@@ -320,14 +312,11 @@ def field_values(kind: type, setup: BlockSetup, **given: Any) -> dict[str, Any]:
         _, *arguments = inspect.signature(getattr(kind, name)).parameters
         raise BlockError(f"{kind.__name__} must define {name}({', '.join(arguments)})")
     gains = gain_values(kind, setup.settings, setup.coordinates, name=setup.name)
+    known = {**gains, "model": setup.nominal, "sample_time": setup.sample_time}
     values = given
     for field in dataclasses.fields(kind) if dataclasses.is_dataclass(kind) else ():
-        if field.name in gains:
-            values[field.name] = gains[field.name]
-        elif field.name == "model":
-            values[field.name] = setup.nominal
-        elif field.name == "sample_time":
-            values[field.name] = setup.sample_time
+        if field.name in known:
+            values[field.name] = known[field.name]
         elif (
             field.name not in given
             and field.default is dataclasses.MISSING

@@ -12,6 +12,7 @@ where only the *injected dynamics* u differs between controllers (equations (6),
 import abc
 import dataclasses
 from collections.abc import Mapping
+from operator import attrgetter
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -162,28 +163,17 @@ class TimeDelayControl(ControlLaw):
     model: PlantModel
     estimator: Estimator
     dynamics: InjectedDynamics
+    held = property(attrgetter("dynamics.held"))
+    reaching_gain = property(attrgetter("dynamics.reaching_gain"))
+    sliding_unit = property(attrgetter("dynamics.sliding_unit"))
+    random_walks = property(attrgetter("estimator.random_walks"))
 
     def initial_state(self) -> State:
         return {**self.estimator.initial_state(), **self.dynamics.initial_state()}
 
-    def held(self) -> Mapping[str, float | None]:
-        return self.dynamics.held()
-
     @property
     def by_axis(self) -> Self | None:
         return self if self.dynamics.by_axis and self.estimator.by_axis else None
-
-    @property
-    def reaching_gain(self) -> ReachingGain | None:
-        return self.dynamics.reaching_gain
-
-    @property
-    def sliding_unit(self) -> str:  # type: ignore[override]
-        return self.dynamics.sliding_unit
-
-    @property
-    def random_walks(self) -> tuple[str, ...]:
-        return self.estimator.random_walks
 
     def with_reaching_gain(self, k_s: np.ndarray) -> Self:
         """Return the law with another K_s (..., nv), 1/s, at the start."""

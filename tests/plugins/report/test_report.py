@@ -20,7 +20,7 @@ from ffsm_drake.common.numbers import number
 from ffsm_drake.plugins.report import comparison, write_report
 from ffsm_drake.plugins.report.page import render_report
 from ffsm_drake.runs.log import Outcome
-from ffsm_drake.runs.metrics import METRICS
+from ffsm_drake.runs.metrics import METRICS, itae_of
 from ffsm_drake.scenario import scenario_from_dict, scenario_from_yaml, scenario_to_dict
 from ffsm_drake.show.curves import thinned
 from ffsm_drake.show.results import ranking, results_of
@@ -196,7 +196,8 @@ def test_diverged_runs_rank_last_and_never_best(short, diverged):
     early = shortened(diverged, 3, status="diverged")
     stopped = shortened(short, 5)
     results = results_of([early, stopped, short])
-    assert min(result.itae for result in results) == results[0].itae
+    sums = [result.figure(itae_of) for result in results]
+    assert min(sums) == sums[0]
     for figure in ("itae", "isv"):
         order = ranking(results, lambda result, figure=figure: getattr(result, figure))
         assert [result.record for result in order] == [short, stopped, early]

@@ -254,7 +254,7 @@ def stability(
     has_bounds = gain is not None and adaptation.keeps_bound and np.isfinite(gain.largest).all()
     if not (adaptation.is_as_stated or has_bounds):
         raise NotLinear(adaptation.uncovered)
-    if gain is not None and gain.is_adapted and has_bounds:
+    if gain is not None and gain.rate is not None and has_bounds:
         worst = int(np.argmax([loop.spectral_radius for loop in expected]))
         bounds = {"reaching_gain": gain.largest}
         at_bounds = linearizer.at(motion.part(POSTURES[worst]), held=bounds).spectral_radius

@@ -62,7 +62,7 @@ def own_adaptation(
     gain = reaching_gain_of(law)
     if gain is None:
         return OwnAdaptation()
-    memory, name = law.initial_state(), scenario.controller_key
+    memory, name = law.initial_state(), type(vars(law).get("dynamics", law)).__name__
     missing = [each for each in _NEEDED if each not in memory]
     if missing:
         if gain.rate is None:

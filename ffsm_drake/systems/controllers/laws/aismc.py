@@ -70,16 +70,10 @@ class Aismc(InjectedDynamics):
         """|s| at which dK_s/dt = alpha |s| sgn(|s| - K_s^2 / beta) (equation (21)) is zero."""
         return k_s * k_s / self.beta
 
-    def reaching_gain_rate(self, s: np.ndarray, k_s: np.ndarray) -> np.ndarray:
-        """dK_s/dt (..., nv)."""
-        magnitude = np.abs(s)
-        return self.alpha * magnitude * np.sign(magnitude - self._rest(k_s))
-
     @classmethod
     def gains_for(cls, omega: Any, k_s: Any) -> dict[str, Any]:
         # Real noise drives |s| far past the thresholds, so K_s would adapt to its bound.
-        gains = {"k_d": 2.0 * omega, "k_p": omega**2}
-        return {**gains, "k_s_initial": k_s, "k_s_max": k_s}
+        return {"k_d": 2.0 * omega, "k_p": omega**2, "k_s_initial": k_s, "k_s_max": k_s}
 
     @classmethod
     def starting_gains(
@@ -99,7 +93,8 @@ class Aismc(InjectedDynamics):
         integral, k_s = state["integral_error"], state["reaching_gain"]
         s = e_dot + self.k_d * e + self.k_p * integral
         u = a_d + self.k_d * e_dot + self.k_p * e + k_s * s
-        rate = self.reaching_gain_rate(s, k_s)
+        magnitude = np.abs(s)
+        rate = self.alpha * magnitude * np.sign(magnitude - self._rest(k_s))
         return u, {
             "integral_error": integral + self.sample_time * e,
             "sliding_variable": s,
