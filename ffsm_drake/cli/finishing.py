@@ -6,7 +6,6 @@ The records are saved. A step that fails, whatever it raises, is named in the la
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
-from operator import attrgetter
 from pathlib import Path
 
 import click
@@ -21,6 +20,7 @@ from ffsm_drake.cli.common import (
 from ffsm_drake.common.errors import spared
 from ffsm_drake.runs import exceeded_limits
 from ffsm_drake.runs.judge import JUDGES
+from ffsm_drake.runs.metrics import itae_of
 from ffsm_drake.runs.reading import REPORT_FILE
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.show import outputs, table_files, tables
@@ -108,7 +108,8 @@ def _show_table(
     file: Path | None,
 ) -> None:
     """Print the table of runs, best first, and write it into a file."""
-    best_first = [each.record for each in ranking(results_of(records), attrgetter("itae"))]
+    ranked = ranking(results_of(records), lambda each: each.figure(itae_of))
+    best_first = [each.record for each in ranked]
     if distances is not None:
         of = dict(zip(map(id, records), distances, strict=True))
         distances = [of[id(record)] for record in best_first]
