@@ -7,19 +7,34 @@ reflection). Bodies shadow one another.
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydrake.geometry import Sphere
 from pydrake.math import RigidTransform
 
 from ffsm_drake.common.memo import memoized
-from ffsm_drake.scenario import Actuation, Model, Plume, Scenario, Thruster, thrusters_of
+from ffsm_drake.scenario import (
+    Actuation,
+    Model,
+    Plume,
+    Posture,
+    Scenario,
+    Thruster,
+    Thrusters,
+    thrusters_of,
+)
 from ffsm_drake.spacecraft.clearance import Clearance
-from ffsm_drake.spacecraft.craft import make_true_plant
 from ffsm_drake.spacecraft.distance import Solids
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.spacecraft.plant import base_body, configuration, files_read, find_body
+from ffsm_drake.spacecraft.plant import (
+    base_body,
+    configuration,
+    coordinates_of,
+    find_body,
+    model_files,
+    parsed_plant,
+)
 
 _LEAST = 1e-4  # m; rays do not meet a shape that is nearer to their nozzle or around it
 _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))  # rad
@@ -110,19 +125,29 @@ class PlumeField:
         return self._solids.first_met(p, u, [*near, *range(count, count + len(self._at))])
 
 
-@memoized(maxsize=16, files=files_read)
 def returned_shares(scenario: Scenario) -> dict[str, float]:
     """For each thruster of a scenario with plumes, the largest share of its thrust returned by its
     plume, in ``initial_posture`` and ``target_posture``.
     """
     settings = scenario.actuation.thrusters
     assert settings is not None
+    postures = {key: getattr(scenario, key) for key in ("initial_posture", "target_posture")}
+    return _largest_shares(scenario.model, settings, postures)
+
+
+@memoized(maxsize=16, files=model_files)
+def _largest_shares(
+    model: Model, settings: Thrusters, postures: Mapping[str, Posture]
+) -> dict[str, float]:
+    """``returned_shares``, in postures by their keys."""
     assert settings.plume is not None
-    model, units = make_true_plant(scenario), thrusters_of(settings)
-    field = PlumeField(settings.plume, [*units.values()], model, scenario.model)
+    plant, units = parsed_plant(model), thrusters_of(settings)
+    coordinates, context = coordinates_of(plant), plant.CreateDefaultContext()
+    known = PlantModel(plant=plant, context=context, coordinates=coordinates)
+    field = PlumeField(settings.plume, [*units.values()], known, model)
     shares = []
-    for key in ("initial_posture", "target_posture"):
-        q = configuration(model.coordinates, getattr(scenario, key), key=key)
+    for key, posture in postures.items():
+        q = configuration(coordinates, posture, key=key)
         back = np.linalg.norm(field.calc(q, np.ones(len(units)))[1], axis=1)
         shares.append(back)
     return dict(zip(units, np.max(shares, axis=0).tolist(), strict=True))
