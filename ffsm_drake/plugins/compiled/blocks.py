@@ -6,24 +6,30 @@ Everything that the code depends on stands in ``Blocks``; all else is an input.
 import dataclasses
 import functools
 import itertools
-from collections.abc import Iterable, Mapping
-from types import MappingProxyType
-from typing import NamedTuple, TypedDict, TypeVar
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from ffsm_drake.loop.blocks import usual_sizes
+from ffsm_drake.plugins.compiled.parts import (
+    STEPPING,
+    Parts,
+    at_start,
+    cell_of,
+    sizes_of,
+    total,
+)
 from ffsm_drake.plugins.compiled.schemes import SCHEMES
 from ffsm_drake.plugins.compiled.supervising import Watch
 from ffsm_drake.plugins.equations.tree import Tree
 from ffsm_drake.plugins.tape.numbers import NotTraceable
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
-from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.controllers.controller import LAW_SIGNALS
 from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.controllers.law_block import LawBlock
 from ffsm_drake.systems.frame_path import FRAME_SIZE
-from ffsm_drake.systems.sampled import Sampled, memory_of, phases_of, sized
+from ffsm_drake.systems.sampled import Sampled, sized
 
 # States that a sample changes, and the cells that have them then.
 CARRIED = {
@@ -43,11 +49,6 @@ CARRIED = {
 # the law; whether the run has left its bound, or has a number that is not finite; samples with an
 # action of the law before that; and when it was seen last, s.
 COUNTS = dict.fromkeys(("number", "j", "first_at", "lost", "acted_on", "seen_at"), 1)
-# Kinds of sampled blocks, in the order of their phases, and the states with their memory; forces
-# that do not step once in a sample have theirs in ``touched``.
-STEPPING = {
-    "sensing": "stored", "actuation": "loaded", "forces": "stored", "supervisor": "watched",
-}  # fmt: skip
 # Signals of a record that a sample makes, and the cells that have them.
 _SAMPLED = {
     "state": "known",
@@ -67,33 +68,6 @@ _REQUEST = {"abort_request": "requested_after"}
 _IS_NEW = {"measurement_is_new": "is_new"}
 
 Places = dict[str, tuple[str, int, int]]  # name -> cell at a sample, first entry there, and size
-Block = TypeVar("Block")
-
-
-class Parts(NamedTuple):
-    """The blocks of a loop beside its law, by name."""
-
-    sensing: Mapping[str, Sampled]  # stages in a row
-    actuation: Mapping[str, Sampled]  # in a row, after limits, quantisation and delay
-    flows: Mapping[str, Continuous]  # beside it
-    forces: Mapping[str, Sampled]
-    last: Mapping[str, Continuous]  # forces that read the sum of all others
-    supervisor: Mapping[str, Sampled]  # its mode logic, if there is one
-
-    @property
-    def stepping(self) -> dict[str, Mapping[str, Sampled]]:
-        """The sampled blocks by kind, in the order of their phases."""
-        return {
-            "sensing": self.sensing,
-            "actuation": self.actuation,
-            "forces": self.forces,
-            "supervisor": self.supervisor,
-        }
-
-
-def frozen(blocks: Mapping[str, Block]) -> Mapping[str, Block]:
-    """Blocks by name that cannot be changed."""
-    return MappingProxyType({**blocks})
 
 
 class Placed(NamedTuple):
@@ -107,34 +81,10 @@ class Placed(NamedTuple):
     phases: slice  # in the row of a sample
 
 
-class Structure(TypedDict):
-    """What the code depends on besides the blocks, by the fields of ``Blocks``."""
-
-    tree: Tree
-    known: tuple[int, ...]
-    hidden: tuple[int, ...]
-    forced: tuple[int, ...]
-    loose: tuple[int, ...]
-    coordinates: Coordinates
-    recorded: tuple[str, ...]
-    num_numbers: int
-    noisy: bool
-    num_drifts: int
-    framed: bool
-    limited: bool
-    quantized: bool
-    waits: int
-    limp: bool
-    scheme: str
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Blocks:
-    """The blocks of a loop, as far as the code depends on them."""
+class Structure:
+    """What the code depends on besides the blocks."""
 
-    law: ControlLaw
-    num_parameters: int  # of the law
-    num_planned: int  # numbers of the law that differ between samples, see ``rows_of``
     tree: Tree  # of the spacecraft
     # entries of the plant's [q; v] that are known, and of hidden coordinates; of its v, known ones
     known: tuple[int, ...]
@@ -142,9 +92,6 @@ class Blocks:
     forced: tuple[int, ...]
     loose: tuple[int, ...]  # of its v, hidden ones
     coordinates: Coordinates
-    parts: Parts
-    watch: Watch | None  # the block of the supervisor
-    detector: Sampled | None  # a last stage of sensing that is called, as the law is then
     recorded: tuple[str, ...]  # outputs of actuators, flows, and forces that do not step once
     num_numbers: int  # parameters of the parts
     noisy: bool
@@ -155,6 +102,18 @@ class Blocks:
     waits: int  # samples from a force to its effect
     limp: bool  # a constant force acts on the joints, not the actuators'
     scheme: str
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Blocks(Structure):
+    """The blocks of a loop, as far as the code depends on them."""
+
+    law: ControlLaw
+    num_parameters: int  # of the law
+    num_planned: int  # numbers of the law that differ between samples, see ``rows_of``
+    parts: Parts
+    watch: Watch | None  # the block of the supervisor
+    detector: Sampled | None  # a last stage of sensing that is called, as the law is then
     called: str = ""  # why the law is called at each sample; empty: it is traced
 
     @property
@@ -221,7 +180,7 @@ class Blocks:
         found, phase, firsts = list[Placed](), 0, dict.fromkeys((*STEPPING.values(), "touched"), 0)
         for kind, blocks in self.parts.stepping.items():
             for name, block in blocks.items():
-                cell = _cell_of(kind, block)
+                cell = cell_of(kind, block)
                 phases = slice(phase, phase + len(block.phase(0)))
                 found.append(Placed(kind, name, block, cell, firsts[cell], phases))
                 phase, firsts[cell] = phases.stop, firsts[cell] + total(at_start(block))
@@ -397,55 +356,7 @@ def laid(cell: str, sizes: Mapping[str, int]) -> Places:
     return {name: (cell, at, size) for (name, size), at in zip(sizes.items(), firsts, strict=False)}
 
 
-def sizes_of(arrays: Mapping[str, np.ndarray]) -> dict[str, int]:
-    """The numbers in each array."""
-    return {name: value.size for name, value in arrays.items()}
-
-
-def total(arrays: Mapping[str, np.ndarray]) -> int:
-    """The numbers in some arrays."""
-    return sum(sizes_of(arrays).values())
-
-
-def at_start(block: Sampled | Continuous) -> dict[str, np.ndarray]:
-    """The memory, or own state, of a block at the start."""
-    return {name: np.asarray(value, float) for name, value in block.start().items()}
-
-
 def outputs_of(force: Sampled, coordinates: Coordinates) -> dict[str, np.ndarray]:
     """The outputs of a force, of zero."""
     sizes = sized(force.outputs, usual_sizes("forces", coordinates), "forces")
     return {name: np.zeros(size) for name, size in sizes.items()}
-
-
-def sampled_of(parts: Parts) -> list[tuple[str, Sampled]]:
-    """The sampled blocks with the states that have their memory."""
-    return [
-        (_cell_of(kind, block), block)
-        for kind, blocks in parts.stepping.items()
-        for block in blocks.values()
-    ]
-
-
-def _cell_of(kind: str, block: Sampled) -> str:
-    return "touched" if kind == "forces" and block.per_sample != 1 else STEPPING[kind]
-
-
-def phases_at(parts: Parts, samples: int) -> np.ndarray:
-    """The phases of the sampled blocks at each of so many samples (samples, n)."""
-    blocks = [block for _, block in sampled_of(parts)]
-    found = [phases_of(each, samples, place=type(each).__name__) for each in blocks]
-    return np.concatenate([np.zeros((samples, 0)), *found], axis=1)
-
-
-def kept_at(parts: Parts, state: np.ndarray) -> dict[str, np.ndarray]:
-    """The states of the blocks of a spacecraft that was at a state before (n)."""
-    found: dict[str, list[np.ndarray]] = {cell: [] for cell in (*STEPPING.values(), "touched")}
-    for cell, block in sampled_of(parts):
-        found[cell] += memory_of(block, state, place=type(block).__name__).values()
-    return {cell: row(values) for cell, values in found.items()}
-
-
-def row(values: Iterable[np.ndarray]) -> np.ndarray:
-    """Arrays one after the other."""
-    return np.concatenate([np.zeros(0), *map(np.ravel, values)])

@@ -12,7 +12,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ffsm_drake.plugins.compiled.blocks import Blocks, Places, laid, sizes_of
+from ffsm_drake.plugins.compiled.blocks import Blocks, Places, laid
+from ffsm_drake.plugins.compiled.parts import sizes_of
 from ffsm_drake.systems.controllers import SampledController
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 

@@ -10,19 +10,19 @@ import numpy as np
 from pydrake.systems.framework import System
 
 from ffsm_drake.mission import Mission
-from ffsm_drake.plugins.compiled.blocks import (
+from ffsm_drake.plugins.compiled.blocks import Structure
+from ffsm_drake.plugins.compiled.kinds import kind_of
+from ffsm_drake.plugins.compiled.noise import Noise, noise_of
+from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of
+from ffsm_drake.plugins.compiled.parts import (
     Block,
     Parts,
-    Structure,
     frozen,
     kept_at,
     phases_at,
     row,
     sampled_of,
 )
-from ffsm_drake.plugins.compiled.kinds import kind_of
-from ffsm_drake.plugins.compiled.noise import Noise, noise_of
-from ffsm_drake.plugins.compiled.parameters import parameters_of, reader_of
 from ffsm_drake.plugins.compiled.scenario_blocks import ScenarioBlocks
 from ffsm_drake.plugins.compiled.schemes import steps_of
 from ffsm_drake.runs.engine import NotCovered
@@ -124,24 +124,24 @@ class Case:
         split, tree = self.true.split, reader_of(self.true.plant).tree
         known = split.known_part(np.arange(self.true.plant.num_multibody_states()))
         forced = split.known_velocities(np.arange(tree.num_velocities))
-        return {
-            "tree": tree,
-            "known": tuple(known.tolist()),
-            "hidden": tuple(split.hidden_state.tolist()),
-            "forced": tuple(forced.tolist()),
-            "loose": tuple(split.hidden.tolist()),
-            "coordinates": self.coordinates,
-            "recorded": self.made.recorded(self.scenario),
-            "num_numbers": num_numbers,
-            "noisy": bool(self._errors.deviation.any()),
-            "num_drifts": self._drift.kept.size,
-            "framed": prescribes_frame(self.scenario),
-            "limited": bool(np.isfinite(self.parameters["limit"]).any()),
-            "quantized": bool(self.parameters["force_resolution"].any()),
-            "waits": self.scenario.actuation.delay,
-            "limp": is_limp,
-            "scheme": self.scenario.simulator_config.integration_scheme,
-        }
+        return Structure(
+            tree=tree,
+            known=tuple(known.tolist()),
+            hidden=tuple(split.hidden_state.tolist()),
+            forced=tuple(forced.tolist()),
+            loose=tuple(split.hidden.tolist()),
+            coordinates=self.coordinates,
+            recorded=self.made.recorded(self.scenario),
+            num_numbers=num_numbers,
+            noisy=bool(self._errors.deviation.any()),
+            num_drifts=self._drift.kept.size,
+            framed=prescribes_frame(self.scenario),
+            limited=bool(np.isfinite(self.parameters["limit"]).any()),
+            quantized=bool(self.parameters["force_resolution"].any()),
+            waits=self.scenario.actuation.delay,
+            limp=is_limp,
+            scheme=self.scenario.simulator_config.integration_scheme,
+        )
 
     @functools.cached_property
     def states(self) -> dict[str, np.ndarray]:
@@ -150,7 +150,7 @@ class Case:
 
     def states_at(self, state: np.ndarray) -> dict[str, np.ndarray]:
         """``states`` at the plant's own [q; v]."""
-        known = state[list(self.fixed["known"])]
+        known = state[list(self.fixed.known)]
         flowing = [each.start(known) for each in self.parts.flows.values()]
         return {
             "x": row([state, *(value for of in flowing for value in of.values())]),
@@ -219,7 +219,7 @@ class Case:
         """The detector, with its memory at the start; none without it."""
         if self.made.detector is None:
             return []
-        known = self.states["x"][list(self.fixed["known"])]
+        known = self.states["x"][list(self.fixed.known)]
         return [(self.made.detector, self.made.detector.start(known))]
 
     def forget_rows(self) -> None:

@@ -5,8 +5,8 @@ import functools
 import numpy as np
 
 from ffsm_drake.loop.blocks import ADDED_FORCES
-from ffsm_drake.plugins.compiled.blocks import at_start
 from ffsm_drake.plugins.compiled.instant import Instant, Made
+from ffsm_drake.plugins.compiled.parts import at_start
 from ffsm_drake.plugins.compiled.stepping import joined, parted, read, zeros
 from ffsm_drake.plugins.equations import equations
 from ffsm_drake.plugins.tape.arrays import traced

@@ -7,9 +7,10 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from ffsm_drake.loop.blocks import usual_sizes
-from ffsm_drake.plugins.compiled.blocks import Blocks, Parts, Placed, at_start
+from ffsm_drake.plugins.compiled.blocks import Blocks, Placed
 from ffsm_drake.plugins.compiled.models import traced_model
 from ffsm_drake.plugins.compiled.parameters import with_symbols
+from ffsm_drake.plugins.compiled.parts import Parts, at_start
 from ffsm_drake.plugins.compiled.stepping import joined, parted, read, stepped
 from ffsm_drake.plugins.tape.arrays import inputs, traced
 from ffsm_drake.plugins.tape.numbers import Tape

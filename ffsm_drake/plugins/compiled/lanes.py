@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
-from ffsm_drake.plugins.compiled.blocks import laid, sizes_of
+from ffsm_drake.plugins.compiled.blocks import laid
 from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.case import Case
 from ffsm_drake.plugins.compiled.kernel import Kernel, LaneState
 from ffsm_drake.plugins.compiled.logs import engine_of, laws_of, log_of, planned_signals
+from ffsm_drake.plugins.compiled.parts import sizes_of
 from ffsm_drake.plugins.compiled.run import Run
 from ffsm_drake.runs.ending import COMPLETED, DIVERGED, Outcome
 from ffsm_drake.runs.log import RunLog

@@ -7,10 +7,11 @@ from collections.abc import Hashable
 import numpy as np
 
 from ffsm_drake.mission import Mission
-from ffsm_drake.plugins.compiled.blocks import Blocks, row
+from ffsm_drake.plugins.compiled.blocks import Blocks
 from ffsm_drake.plugins.compiled.case import Case
 from ffsm_drake.plugins.compiled.models import PosedModel, posed_model
 from ffsm_drake.plugins.compiled.parameters import parameters_of, rows_of
+from ffsm_drake.plugins.compiled.parts import row
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.systems.controllers import SampledController, make_controller
@@ -59,6 +60,7 @@ class Run:
     ) -> None:
         """Args: of the law: its parameters, constants, and planned numbers; see ``Blocks``."""
         at_start = self._first_memory if self.case.made.watch is not None else np.zeros(0)
+        fixed = vars(self.case.fixed)
         self.parameters = self.case.parameters | {"law": law, "law_at_start": at_start}
         self.blocks = Blocks(
             law=self.law,
@@ -68,11 +70,11 @@ class Run:
             called=called,
             num_parameters=law.size,
             num_planned=planned,
-            **self.case.fixed,
+            **fixed,
         )
         # equal for runs that can have the same code
         sizes = law.size, planned
-        self.code = *sizes, *self.case.fixed.values(), self.case.constants, constants, self.steps
+        self.code = *sizes, *fixed.values(), self.case.constants, constants, self.steps
 
     @functools.cached_property
     def states(self) -> dict[str, np.ndarray]:

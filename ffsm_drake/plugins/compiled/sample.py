@@ -13,12 +13,12 @@ import numpy as np
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.compiled.apart import reason_of
-from ffsm_drake.plugins.compiled.blocks import kept_at, phases_at, sampled_of, sizes_of
 from ffsm_drake.plugins.compiled.called import parts
 from ffsm_drake.plugins.compiled.case import case_of
 from ffsm_drake.plugins.compiled.engine import BLOCKS, Compiled
 from ffsm_drake.plugins.compiled.kernel import Step
 from ffsm_drake.plugins.compiled.parameters import rows_of
+from ffsm_drake.plugins.compiled.parts import kept_at, phases_at, sampled_of, sizes_of
 from ffsm_drake.plugins.compiled.run import Run, run_of
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import HELD, Grip, MassProperties

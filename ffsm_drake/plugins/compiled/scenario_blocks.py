@@ -6,8 +6,8 @@ from typing import Any
 
 from ffsm_drake.common.registrations import Registry
 from ffsm_drake.loop.blocks import DISTURBANCE, factory_of
-from ffsm_drake.plugins.compiled.blocks import Block, Parts, frozen
 from ffsm_drake.plugins.compiled.followed_reference import FollowedReference
+from ffsm_drake.plugins.compiled.parts import Block, Parts, frozen
 from ffsm_drake.plugins.compiled.supervising import Supervised, Supervisor
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import Block as Choice

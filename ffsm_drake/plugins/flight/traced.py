@@ -12,7 +12,6 @@ import numpy as np
 
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.mission import Mission, make_mission
-from ffsm_drake.plugins.compiled.blocks import at_start, sizes_of
 from ffsm_drake.plugins.compiled.models import traced_model
 from ffsm_drake.plugins.compiled.parameters import (
     parameters_of,
@@ -20,6 +19,7 @@ from ffsm_drake.plugins.compiled.parameters import (
     rows_of,
     with_symbols,
 )
+from ffsm_drake.plugins.compiled.parts import at_start, sizes_of
 from ffsm_drake.plugins.compiled.stepping import joined, parted, stepped
 from ffsm_drake.plugins.equations import equations
 from ffsm_drake.plugins.equations.errors import tracking_errors

@@ -1,0 +1,138 @@
+"""The loop of a phase in a compiled run, as kinds of phases see it."""
+
+from collections.abc import Collection, Mapping
+
+import numpy as np
+
+from ffsm_drake.plugins.compiled.called import parts
+from ffsm_drake.plugins.compiled.kernel import LaneEnd, LaneState
+from ffsm_drake.plugins.compiled.parts import at_start, row, sizes_of
+from ffsm_drake.plugins.compiled.run import Run
+from ffsm_drake.runs.stage import Stage
+from ffsm_drake.scenario import MassProperties
+from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.sampled import Arrays, Sampled
+
+
+class LaneStage(Stage):
+    """A ``Stage`` of a compiled run."""
+
+    def __init__(self, run: Run, begin: LaneState) -> None:
+        """Args: the run of a phase, and where it begins."""
+        self.run, self.begin = run, begin
+        self._measured = np.zeros(0)  # at its end
+        own = run.case.made.reference
+        # memory of the reference at the begin and at the end of the phase
+        self.followed = self._followed_then = None if own is None else own.block.start()
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """See Stage."""
+        return self.run.coordinates
+
+    @property
+    def blocks(self) -> Mapping[str, Sampled]:
+        """See Stage."""
+        return {f"forces.{name}": block for name, block in self.run.case.parts.forces.items()}
+
+    @property
+    def state(self) -> np.ndarray:
+        """See Stage."""
+        return self.begin.cells["x"][: self._plant]
+
+    @property
+    def measured(self) -> np.ndarray:
+        """See Stage."""
+        return self._measured
+
+    @property
+    def _plant(self) -> int:
+        return int(self.run.case.true.plant.num_multibody_states())
+
+    def model(self) -> PlantModel:
+        """See Stage."""
+        return self.run.mission.craft.flexible(self.run.case.nominal.grip)
+
+    def block(self, name: str) -> Sampled:
+        """See Stage."""
+        if name == "reference" and (own := self.run.case.made.reference) is not None:
+            return own.block
+        return self.blocks[name]
+
+    def memory(self, block: str) -> Arrays:
+        """See Stage."""
+        if block == "reference" and self.followed is not None:
+            return self.followed
+        touched = self.begin.cells["touched"]
+        return {name: touched[place] for name, place in self._places(block).items()}
+
+    def remember(self, block: str, memory: Arrays) -> None:
+        """See Stage."""
+        if block == "reference":
+            self.followed = memory
+            return
+        touched = self.begin.cells["touched"].copy()
+        for name, place in self._places(block).items():
+            touched[place] = memory[name]
+        self._set({**self.begin.cells, "touched": touched})
+
+    def _places(self, block: str) -> dict[str, slice]:
+        """The places of a block's memory among the numbers of its kind."""
+        for each in self.run.blocks.sampled:
+            if f"{each.kind}.{each.name}" == block:
+                return parts(sizes_of(at_start(each.block)), each.first)
+        return {}
+
+    def place(self, state: np.ndarray) -> None:
+        """See Stage."""
+        memory = row(self.run.law.initial_state().values())
+        self._set(self.run.case.states_at(state) | {"memory": memory})
+
+    def carry(self, payload: MassProperties) -> None:
+        """See Stage."""
+        self.run = self.run.carrying(payload)
+
+    def resume(
+        self,
+        before: "LaneStage",
+        reference: np.ndarray | None = None,
+        *,
+        afresh: Collection[str] = (),
+    ) -> None:
+        """See Stage."""
+        own, plant = self.begin.cells, self._plant
+        cells = dict(before.begin.cells)
+        cells["x"] = np.concatenate([own["x"][:plant], cells["x"][plant:]])
+        cells.pop("touch")  # zero: the gripper of the phase before has no effect
+        first_at = before.begin.first_at
+        if "controller" in afresh:
+            first_at, cells["memory"] = self.begin.sample, own["memory"]
+        elif reference is not None:
+            first_at = self.begin.sample
+            law, like = before.run.law, self.run.blocks.memory
+            memory = {
+                name: cells["memory"][place].reshape(like[name].shape)
+                for name, place in parts(sizes_of(like)).items()
+            }
+            cells["memory"] = row(self.run.controller.resumed(memory, law, reference).values())
+        if "reference" not in afresh and self.followed is not None:
+            self.followed = before.followed or self.followed
+        if (held := self.run.parameters["joint_force"]).size:  # the law reads what acts now
+            cells["applied"] = np.concatenate([cells["applied"][: -held.size], held])
+        if "supervisor" in afresh:
+            cells["watched"] = np.zeros_like(cells["watched"])
+        self.begin = LaneState(cells, self.begin.sample, first_at)
+
+    def follow(self) -> None:
+        """Compute the reference over the phase."""
+        if self.followed is not None:
+            self._followed_then = self.run.case.follow(self.followed)
+
+    def leave(self, end: LaneEnd) -> None:
+        """Put the stage where its phase ends."""
+        self.begin, self._measured = end.state, end.measured
+        self.followed = self._followed_then
+
+    def _set(self, cells: Mapping[str, np.ndarray]) -> None:
+        self.begin = self.begin._replace(cells=cells)
