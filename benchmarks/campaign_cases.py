@@ -24,14 +24,8 @@ import yaml
 
 from ffsm_drake import load_scenario
 from ffsm_drake.plugins.campaign.cases import Case, make_cases
-from ffsm_drake.plugins.campaign.evaluate import (
-    FIRST_LIMIT,
-    Batch,
-    Evaluator,
-    Row,
-    alone,
-    metrics_of,
-)
+from ffsm_drake.plugins.campaign.evaluate import Batch, Evaluator, alone
+from ffsm_drake.plugins.campaign.rows import FIRST_LIMIT, Row, metrics_of
 from ffsm_drake.plugins.campaign.spec import Spec, load_spec, shipped_campaigns, spec_from_data
 from ffsm_drake.plugins.campaign.store import create_store
 from ffsm_drake.runs.engine import DRAKE

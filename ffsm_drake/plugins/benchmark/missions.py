@@ -32,7 +32,7 @@ from ffsm_drake.plugins.actuators.thrusters import STANDARD_GRAVITY, ThrusterSet
 from ffsm_drake.plugins.benchmark.law_figures import FIGURES, law_figures
 from ffsm_drake.plugins.benchmark.least_time import least_times
 from ffsm_drake.plugins.campaign.cases import make_cases
-from ffsm_drake.plugins.campaign.evaluate import COMPLETED
+from ffsm_drake.plugins.campaign.rows import COMPLETED
 from ffsm_drake.plugins.campaign.run import Progress, check_cases, resume_campaign
 from ffsm_drake.plugins.campaign.spec import Spec, spec_from_data
 from ffsm_drake.plugins.campaign.store import create_store, open_store

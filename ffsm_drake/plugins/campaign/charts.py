@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd  # type: ignore[import-untyped]
 
-from ffsm_drake.plugins.campaign.evaluate import FIRST_LIMIT
+from ffsm_drake.plugins.campaign.rows import FIRST_LIMIT
 from ffsm_drake.plugins.campaign.statistics import GRID_METRICS, Findings
 from ffsm_drake.show.chart import Chart, Curve, Level, View
 from ffsm_drake.show.style import BLUE, NEUTRAL, UNSTABLE, Style, styles_of

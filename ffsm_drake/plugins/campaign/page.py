@@ -17,7 +17,7 @@ from ffsm_drake.common.files import published, write_text
 from ffsm_drake.common.numbers import NONE, number, percent
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.campaign.charts import chart_views, limits_of
-from ffsm_drake.plugins.campaign.evaluate import OUTCOMES, metric_tables
+from ffsm_drake.plugins.campaign.rows import OUTCOMES, metric_tables
 from ffsm_drake.plugins.campaign.spec import Spec
 from ffsm_drake.plugins.campaign.statistics import (
     CONFIDENCE,

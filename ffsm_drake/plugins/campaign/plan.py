@@ -9,14 +9,14 @@ from collections.abc import Mapping, Sequence
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.campaign.cases import Case, make_cases
-from ffsm_drake.plugins.campaign.evaluate import (
+from ffsm_drake.plugins.campaign.evaluate import Evaluator
+from ffsm_drake.plugins.campaign.rows import (
     COMPLETED,
     DRAKE_DIFFERENCE,
     DRAKE_OUTCOME,
     ENGINE,
     NO_PREDICTION,
     OUTCOMES,
-    Evaluator,
     Row,
     engine_columns,
 )

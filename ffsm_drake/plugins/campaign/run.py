@@ -22,14 +22,12 @@ from ffsm_drake.common.steps import step
 from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.campaign.cases import Case, make_cases, scenario_of
-from ffsm_drake.plugins.campaign.evaluate import (
+from ffsm_drake.plugins.campaign.evaluate import alone, batches, evaluate
+from ffsm_drake.plugins.campaign.rows import (
     CIRCUMSTANCES,
     UNSETTLED,
     Row,
-    alone,
-    batches,
     differing_columns,
-    evaluate,
     evaluate_run,
     failure_row,
 )

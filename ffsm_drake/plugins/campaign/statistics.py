@@ -16,14 +16,14 @@ from scipy import stats
 from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.steps import step
-from ffsm_drake.plugins.campaign.evaluate import (
+from ffsm_drake.plugins.campaign.prediction import StabilityMap, predict_map
+from ffsm_drake.plugins.campaign.rows import (
     COMPLETED,
     NO_PREDICTION,
     metrics_of,
     predictions_of,
     texts_of,
 )
-from ffsm_drake.plugins.campaign.prediction import StabilityMap, predict_map
 from ffsm_drake.plugins.campaign.spec import Spec
 from ffsm_drake.plugins.campaign.store import Store
 from ffsm_drake.runs.ending import NOT_CAPTURED

@@ -26,12 +26,12 @@ from ffsm_drake.common.files import made_folder, written_whole
 from ffsm_drake.common.interrupts import unfinished
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.plugins.campaign.cases import Case
-from ffsm_drake.plugins.campaign.evaluate import (
+from ffsm_drake.plugins.campaign.evaluate import Batch
+from ffsm_drake.plugins.campaign.rows import (
     DRAKE_OUTCOME,
     ENGINE,
     FIRST_LIMIT,
     OUTCOMES,
-    Batch,
     Row,
     engine_columns,
     metrics_of,

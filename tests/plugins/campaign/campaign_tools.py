@@ -14,7 +14,7 @@ from children import PIPE, STDOUT, child, pool, processes
 from click.testing import CliRunner
 
 from ffsm_drake.plugins.campaign.command import campaign
-from ffsm_drake.plugins.campaign.evaluate import CIRCUMSTANCES
+from ffsm_drake.plugins.campaign.rows import CIRCUMSTANCES
 from ffsm_drake.plugins.campaign.run import start_campaign
 from ffsm_drake.plugins.campaign.spec import load_spec
 from ffsm_drake.plugins.campaign.store import open_store

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 import ffsm_drake.plugins.campaign.run as campaign_run
 from ffsm_drake.common.errors import InterruptedCampaign
 from ffsm_drake.plugins.campaign.cases import Case
-from ffsm_drake.plugins.campaign.evaluate import CIRCUMSTANCES, alone, batches, failure_row
+from ffsm_drake.plugins.campaign.evaluate import alone, batches
+from ffsm_drake.plugins.campaign.rows import CIRCUMSTANCES, failure_row
 from ffsm_drake.plugins.campaign.run import LONGEST, Progress, resume_campaign, start_campaign
 from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_data
 from ffsm_drake.plugins.campaign.store import open_store

@@ -141,7 +141,7 @@ def test_the_load_is_the_peak_of_a_run_without_limits_and_noise(duration, end):
 
 @pytest.mark.smoke
 def test_a_campaign_without_a_capture_has_the_columns_it_had():
-    from ffsm_drake.plugins.campaign.evaluate import PREDICTIONS, metrics_of, predictions_of
+    from ffsm_drake.plugins.campaign.rows import PREDICTIONS, metrics_of, predictions_of
     from ffsm_drake.runs.metrics import METRICS
 
     spec = load_spec("payload_uncertainty")

@@ -8,8 +8,8 @@ from campaign_tools import run_here, sql, write_spec
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.campaign.cases import make_cases, scenario_of
-from ffsm_drake.plugins.campaign.evaluate import metrics_of
 from ffsm_drake.plugins.campaign.prediction import predict
+from ffsm_drake.plugins.campaign.rows import metrics_of
 from ffsm_drake.plugins.campaign.spec import load_spec, shipped_campaigns
 
 PANELS = [f"model.flexible.{name}" for name in ("port", "starboard")]

@@ -8,13 +8,8 @@ from campaign_tools import write_spec
 
 from ffsm_drake.common.errors import LimitError, ScenarioError
 from ffsm_drake.plugins.campaign.cases import Case, scenario_of
-from ffsm_drake.plugins.campaign.evaluate import (
-    PREDICTIONS,
-    Evaluator,
-    differing_columns,
-    evaluate,
-    metrics_of,
-)
+from ffsm_drake.plugins.campaign.evaluate import Evaluator, evaluate
+from ffsm_drake.plugins.campaign.rows import PREDICTIONS, differing_columns, metrics_of
 from ffsm_drake.plugins.campaign.spec import load_spec, spec_from_data
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.runs.simulate import simulate
