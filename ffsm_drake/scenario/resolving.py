@@ -104,9 +104,7 @@ def build(schema: Any, data: Any) -> Any:
     return list(data) if origin is list else data
 
 
-def build_settings(
-    cls: Any, data: Any, key: str, scenario: Any = None, *, beside: Iterable[str] = ()
-) -> Any:
+def build_settings(cls: Any, data: Any, key: str, scenario: Any = None) -> Any:
     """Build an instance of a dataclass of settings (see ``common.settings``) from the data of a
     file.
 
@@ -115,16 +113,16 @@ def build_settings(
       data: plain data; missing keys keep their defaults.
       key: where ``data`` stands, such as ``blocks.sensing.settings``, for errors.
       scenario: passed to the ``check`` of the dataclass; None: no check.
-      beside: further keys of the file in this place, which are read elsewhere, for errors.
 
     Raises:
       ScenarioError: an unknown key, a wrong type, or a value out of its range.
     """
-    fields = schema_fields(cls) or {}
-    for name in data:
-        if name not in fields:
-            raise _unknown_key(key, name, (*fields, *beside))
-    built = build(cls, resolve(cls, defaults_of(cls), data, key)) if fields else cls()
+    if schema_fields(cls) is None:  # a class without settings
+        for name in data:
+            raise _unknown_key(key, name, ())
+        built = cls()
+    else:
+        built = build(cls, resolve(cls, defaults_of(cls), data, key))
     require_valid(built, key, scenario)
     return built
 

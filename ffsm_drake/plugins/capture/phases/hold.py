@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.common.settings import setting
+from ffsm_drake.common.errors import ScenarioError, choices
+from ffsm_drake.common.settings import setting, settings_of
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
@@ -83,10 +83,14 @@ class Hold(PlannedMotion):
 def hold(setup: BlockSetup) -> Phase:
     """The kind ``hold``: the approach begins where it ends."""
     phases = setup.scenario.blocks.phases
-    key, beside = f"blocks.phases.{setup.name}.settings", tuple[str, ...]()
+    key, known = f"blocks.phases.{setup.name}.settings", [*settings_of(Settings)]
     if setup.scenario.phases:
-        key, beside = f"phases.{setup.name}", ("duration", "kind")
-    settings = build_settings(Settings, dict(setup.settings), key, beside=beside)
+        key, known = f"phases.{setup.name}", [*known, "duration", "kind"]
+    for name in setup.settings:
+        if name not in known:
+            problem = f"unknown key; valid here: {choices(name, known)}"
+            raise ScenarioError(f"{key}.{name}", problem)
+    settings = build_settings(Settings, dict(setup.settings), key)
     if settings.direction and not (
         len(settings.direction) == 3 and np.linalg.norm(settings.direction) > 0.0
     ):
