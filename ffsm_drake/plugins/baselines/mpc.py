@@ -369,5 +369,5 @@ class Mpc(ControlLaw):
     def from_setup(cls, setup: BlockSetup) -> Self:
         """See ControlLaw. Raises ModelError also: a URDF's limits cannot be read."""
         limits = Limits.of(setup.mission)
-        estimator = make_estimator(setup.mission, grip=setup.grip)
+        estimator = make_estimator(setup.mission, setup.coordinates, grip=setup.grip)
         return cls(**field_values(cls, setup, limits=limits, estimator=estimator))

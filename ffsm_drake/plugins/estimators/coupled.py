@@ -27,7 +27,7 @@ from ffsm_drake.plugins.estimators.kalman import (
     turned,
 )
 from ffsm_drake.scenario import Grip
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.systems.controllers.estimation import Estimate, Estimator
 from ffsm_drake.systems.controllers.law import Sample, State
@@ -60,10 +60,11 @@ class CoupledEstimator(Estimator):
     def make(
         cls,
         mission: Mission,
+        coordinates: Coordinates,
         jacobian: np.ndarray | None,
         grip: Grip,
     ) -> Self:
-        scenario, coordinates = mission.scenario, mission.craft.coordinates
+        scenario = mission.scenario
         sensed = sensed_axes(scenario, coordinates)
         if not all(axis.is_prompt for axis in sensed) or len(set(sensed[:3])) > 1:
             raise ScenarioError(
@@ -84,7 +85,7 @@ class CoupledEstimator(Estimator):
             walk=walk[axes],
             bias_walk=bias_walk[axes],
         )
-        separate = KalmanEstimator.make(mission, None, grip)
+        separate = KalmanEstimator.make(mission, coordinates, None, grip)
         biased = axes[bias_walk[axes] > 0.0]
         return cls(separate=separate, axes=axes, biased=biased, postures=postures, gain=gain)
 

@@ -33,7 +33,7 @@ from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.estimators.assumed_noise import axes_matter, sensed_axes
 from ffsm_drake.plugins.estimators.filter_gains import kalman_gain, late_gains
 from ffsm_drake.scenario import Grip
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.systems.controllers.estimation import Estimate, Estimator
 from ffsm_drake.systems.controllers.law import Sample, State
 
@@ -55,15 +55,15 @@ class KalmanEstimator(Estimator):
     def make(
         cls,
         mission: Mission,
+        coordinates: Coordinates,
         jacobian: np.ndarray | None,
         grip: Grip,
     ) -> "KalmanEstimator | LateKalmanEstimator":
         scenario = mission.scenario
-        axes = sensed_axes(scenario, mission.craft.coordinates)
-        step = scenario.sample_time
+        axes, step = sensed_axes(scenario, coordinates), scenario.sample_time
         of_base = jacobian is None and axes_matter(axes)
         if of_base or not all(axis.is_plain for axis in axes):
-            return LateKalmanEstimator.make(mission, jacobian, grip)
+            return LateKalmanEstimator.make(mission, coordinates, jacobian, grip)
         noises = np.array([[axis.position_noise, axis.velocity_noise, axis.walk] for axis in axes])
         if jacobian is not None:
             noises = np.sqrt(jacobian**2 @ noises**2)
@@ -124,11 +124,12 @@ class LateKalmanEstimator(Estimator):
     def make(
         cls,
         mission: Mission,
+        coordinates: Coordinates,
         jacobian: np.ndarray | None,
         grip: Grip,
     ) -> Self:
-        scenario, solve = mission.scenario, functools.cache(late_gains)
-        axes = sensed_axes(scenario, mission.craft.coordinates)
+        scenario = mission.scenario
+        axes, solve = sensed_axes(scenario, coordinates), functools.cache(late_gains)
         gains = [solve(axis, sample_time=scenario.sample_time) for axis in axes]
         delays = np.array([axis.delay for axis in axes])
         # From coordinate by coordinate to entry by entry: all e, all e', all d, all b, the past of

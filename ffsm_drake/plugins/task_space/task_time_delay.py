@@ -143,7 +143,7 @@ class TaskTimeDelay(AccelerationLaw):
             setup.craft.coordinates, setup.scenario.initial_posture, key="initial_posture"
         )
         jacobian = task_space.model.calc_jacobian(q, task_space.frame)[task_space.rows]
-        estimator = make_estimator(setup.mission, jacobian, setup.grip)
+        estimator = make_estimator(setup.mission, setup.coordinates, jacobian, setup.grip)
         return cls(**field_values(cls, setup, task_space=task_space, estimator=estimator))
 
 

@@ -16,6 +16,7 @@ from ffsm_drake.common.errors import ScenarioError, one_line
 from ffsm_drake.common.registrations import Registry
 from ffsm_drake.mission import Mission
 from ffsm_drake.scenario import HELD, Grip
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers.law import Sample, State
 
 
@@ -40,6 +41,7 @@ class Estimator(abc.ABC):
     def make(
         cls,
         mission: Mission,
+        coordinates: Coordinates,
         jacobian: np.ndarray | None,
         grip: Grip,
     ) -> "Estimator":
@@ -89,11 +91,11 @@ class OneSampleEstimator(Estimator):
     def make(
         cls,
         mission: Mission,
+        coordinates: Coordinates,
         jacobian: np.ndarray | None,
         grip: Grip,
     ) -> Self:
-        names = mission.craft.coordinates.names
-        size = len(names if jacobian is None else jacobian)
+        size = len(coordinates.names if jacobian is None else jacobian)
         return cls(sample_time=mission.scenario.sample_time, num_velocities=size)
 
     def initial_state(self) -> State:
@@ -121,6 +123,7 @@ ESTIMATORS = Registry[type[Estimator]]("estimators")
 
 def make_estimator(
     mission: Mission,
+    coordinates: Coordinates,
     jacobian: np.ndarray | None = None,
     grip: Grip = HELD,
 ) -> Estimator:
@@ -138,7 +141,7 @@ def make_estimator(
         kind: type[Estimator] = OneSampleEstimator
         if (name := mission.scenario.estimator.kind) != "one_sample":
             kind = ESTIMATORS.load(name, f"estimator.kind: {name}")
-        return kind.make(mission, jacobian, grip)
+        return kind.make(mission, coordinates, jacobian, grip)
     except np.linalg.LinAlgError as error:
         remedy = (
             "bring walk and noises, or periods and delays, of position and velocity closer together"

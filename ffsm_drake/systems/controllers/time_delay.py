@@ -148,7 +148,7 @@ class InjectedDynamics(abc.ABC):
         """
         return TimeDelayControl(
             model=setup.nominal,
-            estimator=make_estimator(setup.mission, grip=setup.grip),
+            estimator=make_estimator(setup.mission, setup.coordinates, grip=setup.grip),
             dynamics=cls(**field_values(cls, setup)),
         )
 

@@ -139,7 +139,7 @@ def replay(record, *, applied):
     data, scenario = record.dataset, record.scenario
     nominal = make_nominal_plant(scenario)
     gains = gain_vectors(dataclasses.replace(scenario, controller="tdc"), nominal.coordinates)
-    estimator = make_estimator(make_mission(scenario))
+    estimator = make_estimator(make_mission(scenario), nominal.coordinates)
     state = estimator.initial_state()
     names = (
         "measured_position",

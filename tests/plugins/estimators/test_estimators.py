@@ -73,7 +73,7 @@ def sampled(**given):
 def made(name, *overrides):
     """The estimator of a scenario."""
     scenario = load_scenario(name, overrides)
-    return make_estimator(make_mission(scenario))
+    return make_estimator(make_mission(scenario), make_nominal_plant(scenario).coordinates)
 
 
 def by_coordinate(values):
@@ -182,7 +182,7 @@ def test_each_coordinate_has_the_gain_of_its_own_noise():
         FLIGHT[0], [*FLIGHT[1:], sensors, "estimator.position_noise=null", given]
     )
     coordinates = make_nominal_plant(scenario).coordinates
-    estimator = make_estimator(make_mission(scenario))
+    estimator = make_estimator(make_mission(scenario), coordinates)
     assert isinstance(estimator, KalmanEstimator)
     assert estimator.gain.shape == (11, 3, 2)
     for name, position, velocity, walk in (
@@ -408,7 +408,7 @@ def test_the_coupled_filter_is_stable_all_along_a_motion():
     """The gain of its start alone is not."""
     scenario = load_scenario("flight_sensors", FAR)
     model = make_nominal_plant(scenario)
-    estimator = make_estimator(make_mission(scenario))
+    estimator = make_estimator(make_mission(scenario), model.coordinates)
     q_d = make_motion(make_mission(scenario)).rows(np.linspace(0.0, 20.0, 41))[:, :12]
     axes = estimator.axes
     inverses = np.linalg.inv(model.calc_mass_matrix(q_d))[:, axes[:, None], axes]
@@ -429,7 +429,7 @@ def test_gains_are_as_many_as_a_motion_takes():
     for overrides in (FAR[:2], FAR, [*FAR, "reference.goal=stop"]):
         scenario = load_scenario("flight_sensors", overrides)
         model = make_nominal_plant(scenario)
-        estimator = make_estimator(make_mission(scenario))
+        estimator = make_estimator(make_mission(scenario), model.coordinates)
         counts.append(len(estimator.gain))
         axes = estimator.axes
         inverses = np.linalg.inv(model.calc_mass_matrix(estimator.postures))
@@ -610,7 +610,7 @@ def test_the_published_estimate_is_the_default(name):
     """
     scenario = load_scenario(name)
     assert scenario.estimator.kind == "one_sample"
-    estimator = make_estimator(make_mission(scenario))
+    estimator = make_estimator(make_mission(scenario), make_nominal_plant(scenario).coordinates)
     assert isinstance(estimator, OneSampleEstimator)
     assert list(estimator.initial_state()) == ["delayed_velocity"]
     rng = np.random.default_rng(0)
