@@ -192,6 +192,6 @@ def test_the_next_try_goes_by_the_estimate_alone(monkeypatch):
     by_truth = coast(scenario, now, time=time, samples=samples, onward=True)[-1]
     unlike = np.abs(by_truth - last).max()
     estimate = Target.from_motion(now, scenario.payload.nominal)
-    assert unlike > 0.02
+    assert unlike > 0.005  # rad: planned by the truth, it would be rounding
     assert not np.allclose(known.arm, scenario.payload.truth.center_of_mass, atol=1e-4)
     assert not np.allclose(known.arm, estimate.arm, atol=1e-4)  # it learned
