@@ -138,7 +138,6 @@ def test_compiled_rehearsals_are_those_of_drake(seed, monkeypatch):
     (share,) = shares_diverged([scenario], seeds=FEW)
     with monkeypatch.context() as patch:
         patch.setattr(rehearsal, "_engine", lambda: None)
-        patch.setattr(rehearsal, "_shared", rehearsal._rehearsed)
         alike(compiled, rehearse(scenario, seeds=FEW))
         assert shares_diverged([scenario], seeds=FEW) == [share] == [compiled.share_diverged]
         few = rehearse(scenario, seeds=16)
@@ -266,8 +265,9 @@ def test_predicted_divergence_is_that_of_runs_with_these_noises():
 def test_a_check_and_its_report_rehearse_once():
     """And at other values again."""
     scenario = load_scenario("thrusters_only", ["duration=1"])
-    checked = verdict(scenario, rehearsal=False).noises
-    shown = stability(scenario).rehearsal
+    mission = make_mission(scenario)
+    checked = verdict(mission, rehearsal=False).noises
+    shown = stability(mission).rehearsal
     assert np.shares_memory(checked.rms_error, shown.rms_error)
     other = override_scenario(scenario, ["sensing.position_noise.all=1e-5"])
     assert not np.shares_memory(stability(other).rehearsal.rms_error, shown.rms_error)
