@@ -92,3 +92,22 @@ def test_validate_names_what_was_given_for_another_sample_time(overrides, named)
 def test_a_wrong_density_is_refused():
     with pytest.raises(FfsmError, match="velocity_noise_density"):
         load_scenario("postcapture", ["sensing.velocity_noise_density=-1"])
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "of"),
+    [
+        ("velocity_noise_density", 2e-5, "velocity_noise"),
+        ("position_period_time", 0.2, "position_period"),
+        ("velocity_delay_time", 0.03, "velocity_delay"),
+    ],
+)
+def test_other_coordinates_keep_their_own_value(key, value, of):
+    """A density or a time of one group needs no entry for the others."""
+    given = {"duration": 0.05, "sensing": {key: {"base_rotation": value}}}
+    plain, own = (load_scenario("flight_sensors", [more]) for more in ({"duration": 0.05}, given))
+    recorded(own)
+    before, after = (getattr(each.sensing, of) for each in (plain, own))
+    assert after.pop("base_rotation") == pytest.approx(value / 0.01 if "time" in key else 2e-4)
+    before.pop("base_rotation", None)
+    assert after == before

@@ -25,7 +25,7 @@ class SensorErrors:
         """Return a setting by coordinate (nv)."""
         for further in (f"{key}_density", f"{key}_time"):
             if isinstance(given := getattr(self.settings, further, None), dict):
-                self.coordinates.vector(given, key=f"sensing.{further}")
+                self.coordinates.vector(given, key=f"sensing.{further}", default=default)
         values = getattr(self.settings, key)
         return self.coordinates.vector(values, key=f"sensing.{key}", default=default)
 
