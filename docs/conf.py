@@ -23,6 +23,7 @@ extensions = [
     "offline_math",
     "plain_docstrings",
     "settings_tables",
+    "evidence_tables",
 ]
 exclude_patterns = ["_ext", "joss"]
 html_theme = "furo"

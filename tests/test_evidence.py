@@ -1,0 +1,213 @@
+"""The tables of the evidence pages cover what they are about: every figure of the models has a
+source or is called assumed, and every requirement names tests that exist, or none.
+"""
+
+import ast
+import functools
+import importlib.util
+import re
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+
+from ffsm_drake.scenario import shipped_scenarios
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+URDFS = sorted((ROOT / "models" / "urdf").glob("*.urdf"))
+# Keys of a scenario with figures of the spacecraft, its target, sensors and actuators.
+FIGURES = (
+    "payload.truth",
+    "payload.nominal",
+    "capture.rate",
+    "capture.velocity",
+    "capture.compliance",
+    "model.flexible",
+    "actuation",
+    "sensing",
+    "disturbance",
+)
+
+
+def loaded(path):
+    specification = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+tables = loaded(DOCS / "_ext" / "evidence_tables.py")
+
+
+def is_number(value):
+    return isinstance(value, (int, float)) or (isinstance(value, list) and is_number(value[0]))
+
+
+def test_every_link_with_a_mass_has_one_source():
+    assert {path.name for path in URDFS} == set(tables.entries()["masses"])
+    for path in URDFS:
+        names = tables.links_of(path)
+        patterns = tables.entries()["masses"][path.name]
+        found = Counter(name for key in patterns for name in tables.matching(key, names))
+        assert found == Counter(names.keys()), path.name
+        assert all(tables.matching(key, names) for key in patterns), path.name
+
+
+@pytest.mark.parametrize("path", URDFS, ids=lambda path: path.stem)
+def test_masses_and_inertias_are_those_that_drake_reads(path):
+    plant = MultibodyPlant(0.0)
+    (model,) = Parser(plant).AddModels(str(path))
+    plant.Finalize()
+    context = plant.CreateDefaultContext()
+    links = tables.links_of(path)
+    assert len(links) > 0
+    for name, link in links.items():
+        body = plant.GetBodyByName(name, model)
+        spatial = body.CalcSpatialInertiaInBodyFrame(context)
+        assert spatial.get_mass() == link.mass
+        np.testing.assert_allclose(spatial.get_com(), link.center, rtol=1e-12)
+        found = spatial.CalcRotationalInertia().ShiftToCenterOfMass(
+            spatial.get_mass(), spatial.get_com()
+        )
+        moments = [*found.get_moments(), *found.get_products()]
+        np.testing.assert_allclose(moments, link.inertia, rtol=1e-9, atol=1e-12 * link.mass)
+
+
+@pytest.mark.parametrize("scenario", shipped_scenarios())
+def test_every_figure_of_a_scenario_has_one_source(scenario):
+    values = tables.written(scenario)
+    figures = [key for key, value in values.items() if key.startswith(FIGURES) and is_number(value)]
+    found = Counter[str]()
+    for pattern, (*_, scenarios) in tables.entries()["figures"].items():
+        if scenario in scenarios:
+            keys = tables.matching(pattern, values)
+            assert keys, f"{pattern} is not in {scenario}"
+            found.update(keys.keys())
+    assert found == Counter(figures)
+
+
+def test_every_figure_of_a_layout_has_one_source():
+    values = tables.layouts()
+    found = Counter(
+        key for pattern in tables.entries()["thrusters"] for key in tables.matching(pattern, values)
+    )
+    assert found == Counter(values.keys())
+
+
+def test_kinds_and_short_names_are_known():
+    rows = [*tables.mass_rows(), *tables.setting_rows()]
+    assert {row.kind for row in rows} == set(tables.KINDS)
+    assert all(row.values and row.source and row.spread for row in rows)
+    entries = tables.entries()
+    assert set(entries["defaults"]) == {
+        key
+        for key, (*_, scenario) in entries["defaults"].items()
+        if key == "actuation.drives" or tables.matching(key, tables.resolved(scenario))
+    }
+    text = (DOCS / "validation" / "parameters.yaml").read_text().split("\nmasses:")[1]
+    for name in [*entries["sources"], *entries["spreads"]]:
+        assert re.search(rf", {name}[],]", text), f"{name} is not used"
+
+
+def test_a_figure_without_a_source_is_assumed():
+    for row in [*tables.mass_rows(), *tables.setting_rows()]:
+        assert row.kind == "assumed" or row.source != "none", row
+
+
+def test_the_mass_of_a_payload_is_that_of_its_model():
+    """Where a scenario repeats figures of a URDF."""
+    for scenario, file, name in (
+        ("postcapture", "debris", "debris"),
+        ("envisat", "envisat", "envisat"),
+        ("ets_vii", "ets_vii", "link_6"),
+        ("planar_detumble", "planar_target", "target"),
+        ("tohoku_arms", "tohoku_target", "debris"),
+    ):
+        link = tables.links_of(ROOT / "models" / "urdf" / f"{file}.urdf")[name]
+        values = tables.written(scenario)
+        assert values["payload.truth.mass"] == link.mass
+        inertia = [*values["payload.truth.inertia"], 0, 0, 0][:6]
+        np.testing.assert_allclose(inertia, link.inertia, rtol=1e-9)
+
+
+@functools.cache
+def functions_in(path):
+    return {
+        node.name for node in ast.parse(path.read_text()).body if isinstance(node, ast.FunctionDef)
+    }
+
+
+def test_requirements_name_pages_and_tests_that_exist():
+    text = tables.REQUIREMENTS.read_text()
+    found = tables.requirements()
+    assert len(found) == len(re.findall(r"^R-", text, re.MULTILINE)), "an identifier twice"
+    assert 25 <= len(found) <= 50
+    for name, (promise, page, *tests) in found.items():
+        assert promise.endswith("."), name
+        assert (DOCS / f"{page}.md").is_file(), name
+        for test in tests:
+            file, _, function = test.partition("::")
+            assert function in functions_in(ROOT / file), f"{name}: {test}"
+
+
+def test_a_requirement_without_a_test_is_shown_as_such():
+    shown = tables.requirement_table()
+    untested = [name for name, (_, _, *tests) in tables.requirements().items() if not tests]
+    assert untested
+    for line in shown.splitlines()[2:]:
+        assert ("**no test**" in line) == (line.split("[")[1].split("]")[0] in untested)
+
+
+@pytest.mark.parametrize("page", ["parameters", "requirements"])
+def test_tables_are_on_their_pages(page):
+    text = (DOCS / "validation" / f"{page}.md").read_text()
+    assert any(mark in text for mark in tables.TABLES)
+    filled = tables.with_tables(text)
+    assert "<!--" not in filled
+    widths = {line.count("|") for line in tables.mass_table().splitlines()}
+    assert widths == {6}
+
+
+def test_claims_without_a_command_are_counted():
+    head = "| claim | command | date |\n|---|---|---|\n"
+    text = head + "| a | not recorded | x |\n| b \\| c | `pytest` | x |\n\n| a | not recorded |\n"
+    assert tables.claims(text) == ["not recorded", "`pytest`"]
+    unknown, every = map(int, tables.unrecorded_claims().split(" of "))
+    assert 0 <= unknown < every / 4
+    assert every > 200
+    assert tables.unrecorded_claims() in tables.with_tables((DOCS / "credibility.md").read_text())
+
+
+FACTOR = re.compile(r"^\| \[([^]]+)\]\(#([\w-]+)\) \| (\d) \| (.+) \|$", re.MULTILINE)
+
+
+def test_every_level_of_credibility_has_evidence():
+    """Each factor has a section with links to evidence, and says what the next level needs."""
+    text = (DOCS / "credibility.md").read_text()
+    factors = FACTOR.findall(text)
+    assert len(factors) == 8
+    for name, anchor, level, _ in factors:
+        assert name.lower().replace(" ", "-").replace("&", "") == anchor
+        section = text.split(f"## {name}\n")[1].split("\n## ")[0]
+        assert int(level) <= 4
+        assert re.search(r"^\| .+\]\((validation|\w+\.md|\.\.)", section, re.MULTILINE), name
+        assert f"Missing for level {int(level) + 1}" in section, name
+
+
+class Strict(yaml.SafeLoader):
+    """A reader that refuses a key given twice, of which the last one would count."""
+
+    def construct_mapping(self, node, deep=False):
+        keys = [key.value for key, _ in node.value]
+        assert len(keys) == len(set(keys)), keys
+        return super().construct_mapping(node, deep)
+
+
+@pytest.mark.parametrize("path", [tables.PARAMETERS, tables.REQUIREMENTS], ids=lambda p: p.stem)
+def test_no_key_is_given_twice(path):
+    assert yaml.load(path.read_text(), Strict)
