@@ -27,7 +27,7 @@ from ffsm_drake.scenario import (
 from ffsm_drake.scenario.resolving import without_null
 from ffsm_drake.systems.controllers.law import gains_of
 from ffsm_drake.systems.faults import fault_kinds
-from ffsm_drake.systems.registry import find_factory, shipped_names
+from ffsm_drake.systems.registry import block_names, find_factory, is_shipped
 
 MARK = "<!-- table -->"
 DOCS = Path(__file__).parents[1]
@@ -154,6 +154,11 @@ def _table(rows: list[Row]) -> list[str]:
         ),
         "",
     ]
+
+
+def shipped_names(block: str) -> list[str]:
+    """The names of this package's systems, plug-ins included, that can fill a block."""
+    return [name for name in block_names(block) if is_shipped(block, name)]
 
 
 def scenario_keys() -> Iterator[Section]:
