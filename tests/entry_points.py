@@ -6,12 +6,13 @@ from pathlib import Path
 import pytest
 
 from ffsm_drake.common.registrations import absent_need, offered, own_plugins
-from ffsm_drake.systems.registry import block_names, is_shipped
 
 # What a command or an error says without a plug-in.
 MISSING = re.compile(
     r"no installed plug-in offers|the plug-in '\w+'(, which)? is not installed"
-    r"|no such command '\w+'|'\w+' is unknown; give module:attribute",
+    r"|no (such )?command '[\w ]+|'\w+' is unknown; give module:attribute"
+    r"|no module named 'ffsm_drake\.plugins|module 'ffsm_drake' has no attribute"
+    r"|'[^']*ffsm_drake/plugins/",
     re.IGNORECASE,
 )
 
@@ -54,8 +55,3 @@ def installed(folder, monkeypatch, modules, groups):
     offered.cache_clear()
     yield
     offered.cache_clear()
-
-
-def shipped_names(block: str) -> tuple[str, ...]:
-    """Return names of the systems of this package, its plug-ins included, that can fill a block."""
-    return tuple(name for name in block_names(block) if is_shipped(block, name))

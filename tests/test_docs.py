@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 from c_code import needs_llvm
 from click.testing import CliRunner
-from entry_points import is_there, needs, shipped_names
+from entry_points import is_there, needs
 from PIL import Image
 from scipy.optimize import brentq
 
@@ -44,7 +44,7 @@ from ffsm_drake.scenario import (
 from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
 from ffsm_drake.systems.controllers import ControlLaw, InjectedDynamics, controller_names
 from ffsm_drake.systems.reference import make_motion
-from ffsm_drake.systems.registry import find_factory
+from ffsm_drake.systems.registry import find_factory, shipped_names
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -1,12 +1,6 @@
 """Rounding to multiples of a resolution."""
 
-import dataclasses
-from collections.abc import Mapping
-
 import numpy as np
-
-from ffsm_drake.systems.continuous import Continuous
-from ffsm_drake.systems.sampled import Arrays
 
 
 def quantize(values: np.ndarray, resolution: np.ndarray) -> np.ndarray:
@@ -15,24 +9,3 @@ def quantize(values: np.ndarray, resolution: np.ndarray) -> np.ndarray:
     """
     steps = np.where(resolution > 0.0, resolution, 1.0)
     return np.where(resolution > 0.0, np.round(values / steps) * steps, values)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Quantizer(Continuous):
-    """Rounds its input ``u`` to multiples of a resolution, output ``y``; see quantize."""
-
-    resolution: np.ndarray
-
-    @property
-    def inputs(self) -> Mapping[str, int]:
-        """See Continuous."""
-        return {"u": self.resolution.size}
-
-    @property
-    def outputs(self) -> Mapping[str, int]:
-        """See Continuous."""
-        return {"y": self.resolution.size}
-
-    def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
-        """See Continuous."""
-        return {"y": quantize(inputs["u"], self.resolution)}, {}

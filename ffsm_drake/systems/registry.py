@@ -102,6 +102,11 @@ def block_names(block: str) -> tuple[str, ...]:
     return tuple(FACTORIES[block].offers())
 
 
+def shipped_names(block: str) -> tuple[str, ...]:
+    """Return names of the systems of this package, its plug-ins included, that can fill a block."""
+    return tuple(name for name in block_names(block) if is_shipped(block, name))
+
+
 def is_shipped(block: str, name: str) -> bool:
     """True if a name stands for a system of this package."""
     offer = FACTORIES[block].offer(name)

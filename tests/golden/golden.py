@@ -34,7 +34,7 @@ from ffsm_drake.cli import main as ffsm
 from ffsm_drake.common.registrations import plugin_of
 from ffsm_drake.scenario import scenario_to_dict, shipped_scenarios
 from ffsm_drake.show.results import results_of
-from ffsm_drake.systems.registry import FACTORIES, block_names, is_shipped
+from ffsm_drake.systems.registry import FACTORIES, shipped_names
 
 FOLDER = Path(__file__).parent
 RUNS = FOLDER / "runs"
@@ -184,9 +184,8 @@ def runs(scenario: str) -> dict[str, Any]:
 def all_results(scenario: str, own: RunRecord, *, seed: int | None = None) -> dict[str, Any]:
     """The numbers of a scenario's runs, by controller; ``own`` is the run of its own."""
     found = {own.scenario.controller: results(own)}
-    for controller in block_names("controller") if scenario in WITH_EVERY_LAW else ():
-        is_other = controller not in found and controller not in BASELINES
-        if is_other and is_shipped("controller", controller):
+    for controller in shipped_names("controller") if scenario in WITH_EVERY_LAW else ():
+        if controller not in found and controller not in BASELINES:
             try:
                 found[controller] = results(run(scenario, controller, seed=seed))
             except FfsmError as error:

@@ -7,7 +7,6 @@ import math
 
 import numpy as np
 import pytest
-from entry_points import shipped_names
 
 from ffsm_drake import load_scenario, make_closed_loop, make_nominal_plant
 from ffsm_drake.mission import make_mission
@@ -20,7 +19,7 @@ from ffsm_drake.systems.controllers.laws.asmc import Asmc
 from ffsm_drake.systems.controllers.laws.tdc import Tdc
 from ffsm_drake.systems.controllers.time_delay import time_delay_force
 from ffsm_drake.systems.reference import make_motion
-from ffsm_drake.systems.registry import find_factory
+from ffsm_drake.systems.registry import find_factory, shipped_names
 
 PERIOD = 0.01
 ONE = np.ones(1)

@@ -6,11 +6,11 @@ import json
 
 import pytest
 from click.testing import CliRunner
-from entry_points import installed, needs, shipped_names
+from entry_points import installed, needs
 
 from ffsm_drake.cli import main
 from ffsm_drake.show.style import label_of, styles_of
-from ffsm_drake.systems.registry import find_factory
+from ffsm_drake.systems.registry import find_factory, shipped_names
 
 LAW = '''
 import dataclasses

@@ -13,6 +13,7 @@ from ffsm_drake.plugins.actuators.base import BaseActuators
 from ffsm_drake.plugins.actuators.drives import FRICTION, DriveSet, JointFriction, RateLimit
 from ffsm_drake.plugins.actuators.gyroscopic import Gyroscopic
 from ffsm_drake.plugins.actuators.plume import allocated
+from ffsm_drake.plugins.actuators.quantizer import Quantizer
 from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
 from ffsm_drake.plugins.actuators.wheel_set import WheelSet
 from ffsm_drake.scenario import Actuation, Scenario
@@ -20,7 +21,6 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.continuous import Continuous, ContinuousSystem, InstantSystem
 from ffsm_drake.systems.faults import Hit, detects, hits
 from ffsm_drake.systems.parts.part import Part
-from ffsm_drake.systems.quantization import Quantizer
 from ffsm_drake.systems.sampled import Sampled, SampledSystem
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 

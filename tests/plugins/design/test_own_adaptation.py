@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import adapting_laws
 import numpy as np
 import pytest
-from entry_points import shipped_names
 
 from ffsm_drake import InjectedDynamics, load_scenario
 from ffsm_drake.mission import Mission
@@ -19,6 +18,7 @@ from ffsm_drake.plugins.estimators.filtering import make_filtered
 from ffsm_drake.scenario import CommandFilter
 from ffsm_drake.systems.controllers import make_law
 from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.registry import shipped_names
 from ffsm_drake.testing import check_controller
 
 AS_STATED = ("OwnRule", "Late")
