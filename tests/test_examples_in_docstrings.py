@@ -16,6 +16,10 @@ NAMES = [*ffsm_drake.__all__, *VERBS.offers()]
 SEEN = Path(ffsm_drake.__file__).with_suffix(".pyi").read_text()  # by type checkers
 
 
+@needs("analysis")
+@needs("campaign")
+@needs("design")
+@needs("exports")
 def test_type_checkers_see_each_name():
     assert sorted(re.findall(r'^    "(\w+)",$', SEEN, re.MULTILINE)) == sorted(NAMES)
 

@@ -280,18 +280,18 @@ def test_upper_bounds_hold():
     assert state["reaching_gain"][6] > 82.0
 
 
-def test_reaching_gain_laws_rest_at_their_threshold():
-    _, laws = coordinates_and_laws()
-    k_s, beta, alpha = np.array([80.0]), np.array([4e7]), np.array([3e4])
-    for name, threshold in (("tde_aismc", k_s / beta), ("aismc", k_s**2 / beta)):
-        law = dataclasses.replace(laws[name], alpha=alpha, beta=beta)
-        assert law.reaching_gain_rate(threshold, k_s) == 0.0
-        assert law.reaching_gain_rate(-1.01 * threshold, k_s) == pytest.approx(
-            alpha * 1.01 * threshold
-        )
-        assert law.reaching_gain_rate(0.99 * threshold, k_s) == pytest.approx(
-            -alpha * 0.99 * threshold
-        )
+@pytest.mark.parametrize("name", ["aismc", "tde_aismc"])
+def test_reaching_gains_rest_at_their_threshold(name):
+    law = coordinates_and_laws()[1][name]
+    k_s, beta, alpha = 80.0, 4e7, 3e4
+    threshold = {"tde_aismc": k_s / beta, "aismc": k_s**2 / beta}[name]
+    all_of, none = np.ones(law.k_d.shape), np.zeros(law.k_d.shape)
+    law = dataclasses.replace(law, alpha=alpha * all_of, beta=beta * all_of, k_s_max=1e3 * all_of)
+    start = law.initial_state() | {"reaching_gain": k_s * all_of}
+    for s, expected in ((1.0, 0.0), (-1.01, 1.01 * alpha), (0.99, -0.99 * alpha)):
+        _, state = law.step(none, s * threshold * all_of, none, start)
+        change = (state["reaching_gain"] - k_s) / law.sample_time
+        assert change == pytest.approx(expected * threshold, abs=1e-9)
 
 
 def test_switching_gain_law_10():
