@@ -60,6 +60,11 @@ class Section:
     rows: list[Row]
 
 
+def _shipped_laws() -> tuple[str, ...]:
+    """Names of the laws of this package and its plug-ins."""
+    return tuple(name for name in block_names("controller") if is_shipped("controller", name))
+
+
 def _kind(kind: Any, declared: Setting) -> str:
     """The type of a key's value, with its range."""
     if kind in (PerCoordinate, dict[str, int]):
@@ -175,7 +180,7 @@ def scenario_keys() -> Iterator[Section]:
             )
             yield Section(path, "" if cls in described else summary or "", found)
             described.add(cls)
-    for controller in shipped_names("controller"):
+    for controller in _shipped_laws():
         yield Section(f"controllers.{controller}", "", _gains(controller))
 
 
@@ -217,7 +222,7 @@ def block_table() -> str:
 def law_table() -> str:
     """The shipped control laws with the first line of their docstrings, as Markdown."""
     lines = ["| `controller` | law | page |", "|---|---|---|"]
-    for name in shipped_names("controller"):
+    for name in _shipped_laws():
         factory: Any = find_factory("controller", name)
         plugin = plugin_of(factory.__module__)
         page = own_plugins()[plugin].page if plugin else "controllers"
@@ -227,7 +232,7 @@ def law_table() -> str:
 
 def law_modules() -> str:
     """A directive for the docstrings of each shipped control law, as reStructuredText."""
-    laws = (find_factory("controller", name) for name in shipped_names("controller"))
+    laws = (find_factory("controller", name) for name in _shipped_laws())
     modules = dict.fromkeys(law.__module__ for law in laws)
     return "\n\n".join(f".. automodule:: {module}" for module in modules)
 
