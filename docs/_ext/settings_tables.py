@@ -161,11 +161,6 @@ def _table(rows: list[Row]) -> list[str]:
     ]
 
 
-def shipped_names(block: str) -> list[str]:
-    """The names of this package's systems, plug-ins included, that can fill a block."""
-    return [name for name in block_names(block) if is_shipped(block, name)]
-
-
 def scenario_keys() -> Iterator[Section]:
     """Every key of a scenario with default, unit and meaning, by group; the gains of the shipped
     controllers last.
