@@ -99,7 +99,8 @@ class Detection:
     """Fault detection in the flight software, and its response."""
 
     threshold: float = unitless(
-        8.0, "residual at which a fault is detected, in standard deviations of its measured noise",
+        8.0,
+        "residual at which a fault of a sensor is detected, in standard deviations of its noise",
         above=0,
     )  # fmt: skip
     disturbance: PerCoordinate | None = setting(
@@ -109,12 +110,6 @@ class Detection:
         "given; null: the amplitudes and biases of ``disturbance`` and the forces of the orbit",
         least=0,
     )
-    band: float = setting(
-        10.0,
-        "rad/s",
-        "highest frequency of the disturbance, used to detect thruster faults",
-        above=0,
-    )  # fmt: skip
     payload_factor: float = unitless(
         2.0,
             "largest factor between true and nominal mass or inertia of the held payload, in both "

@@ -1,4 +1,4 @@
-"""Bounds of the forces that have normal causes: disturbance, orbit, friction and payload."""
+"""Bounds of the forces that have normal causes: disturbance, orbit and friction."""
 
 import numpy as np
 
@@ -9,8 +9,6 @@ from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.orbit import Orbit
 from ffsm_drake.systems.setup import BlockSetup
 
-_OFF = 0.2  # uncertain share of the payload's radius of gyration (centre) and moments
-
 
 class Bounds:
     """The largest forces without a fault, as functions of a state."""
@@ -18,10 +16,7 @@ class Bounds:
     def __init__(self, setup: BlockSetup) -> None:
         """Args: setup of the detector."""
         scenario, coordinates = setup.scenario, setup.coordinates
-        self._model, self._nq = setup.nominal, len(coordinates.position_names)
-        self._nv = len(coordinates.names)
-        held = setup.grip.carried(scenario.payload).nominal
-        self._payload = (scenario.payload.body, held.mass, 0.5 * sum(held.inertia[:3]))
+        self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)
         self._read_disturbance(scenario, coordinates)
         nothing = np.zeros(self._nv)
         self._friction, self._viscous = nothing, nothing
@@ -56,21 +51,4 @@ class Bounds:
         orbital = self._orbital * np.sqrt(np.diag(mass) * inertia)
         rates = np.abs(state[self._nq :])
         bound: np.ndarray = self._disturbance + orbital + self._friction + self._viscous * rates
-        return bound
-
-    def of_payload(self, state: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-        """The largest force (nv) of a payload whose centre of mass and axes of inertia are not the
-        nominal ones, at an acceleration (nv).
-        """
-        model, (name, mass, moment) = self._model, self._payload
-        if mass == 0.0:
-            return np.zeros(self._nv)
-        q, v = np.split(state, [self._nq])
-        jacobian = model.calc_jacobian(q, name)
-        moved = jacobian @ acceleration + model.calc_bias_acceleration(q, v, name)
-        turning = np.linalg.norm(moved[:3]) + np.sum((jacobian[:3] @ v) ** 2)
-        offset = _OFF * np.sqrt(mass * moment)  # its mass times how far its centre is off
-        torque = offset * np.linalg.norm(moved[3:]) + _OFF * moment * turning
-        sizes = np.linalg.norm(jacobian.reshape(2, 3, -1), axis=1)
-        bound: np.ndarray = torque * sizes[0] + offset * turning * sizes[1]
         return bound

@@ -24,7 +24,7 @@ import numpy as np
 
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.faults.force_watch import ForceWatch
-from ffsm_drake.plugins.faults.known import KINDS, Memory, units_of
+from ffsm_drake.plugins.faults.known import KINDS, REPLACED, Memory, units_of
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.faults import detects
 from ffsm_drake.systems.parts.metrics import Figure, Metric, by_key
@@ -149,9 +149,11 @@ class Detector(ForceWatch, Sampled):
     def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
         """See Sampled."""
         before, shapes = memory["codes"], self._shapes
-        after = Memory(
-            **{name: np.array(memory.get(name, ())).reshape(shapes[name]) for name in shapes}
-        )
+        copied = {
+            name: (np.asarray if name in REPLACED else np.array)(memory.get(name, ()))
+            for name in shapes
+        }
+        after = Memory(**{name: values.reshape(shapes[name]) for name, values in copied.items()})
         self._look_at(after, inputs)
         outputs = {
             "estimated_state": after.seen.copy(), "fault_detected": before,
@@ -172,16 +174,17 @@ class Detector(ForceWatch, Sampled):
         if is_first:
             memory.leg = self._leg
             self._forget(memory)
+            self._begin(memory)
             memory.samples = 0.0
         changes = self._changes(seen, np.column_stack([force, self._pushes(seen)]))
-        expected = self._step * changes[:, :, 0] * (not is_first)
+        expected = self._step * changes[:, 0] * (not is_first)
         new = inputs.get(IS_NEW)
-        self._correct(memory, raw, seen, expected[0], new, is_first=is_first)
+        self._correct(memory, raw, seen, expected, new, is_first=is_first)
         if not is_first:
             self._look_at_sensors(memory, raw, seen, new)
         memory.raw[:] = raw
-        if not is_first and self._collect(memory, seen, expected, changes[0, :, 1:]):
-            self._look_at_blocks(memory, changes[0, :, 1:])
+        if not is_first and self._collect(memory, seen, expected, changes[:, 1:]):
+            self._look_at_blocks(memory)
 
     def _acting(self, memory: Memory, inputs: Arrays) -> np.ndarray:
         """The force (nv) on the plant in the last sample as reported, with measured wheel torques;
@@ -199,6 +202,7 @@ class Detector(ForceWatch, Sampled):
                 force[:3] -= axes @ beyond / self._step
             memory.momentum = now
         memory.told = inputs.get("told_units", memory.told)
+        memory.sums[self._at["impulse"]] += self._step * memory.told[: len(self._force)]
         return force
 
 

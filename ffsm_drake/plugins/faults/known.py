@@ -1,35 +1,39 @@
 """What fault detection knows beforehand: units, sensors and models. What it remembers."""
 
-import dataclasses
 import itertools
 from types import SimpleNamespace
 
 import numpy as np
 
 from ffsm_drake.common.so3 import matrix_of
-from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.actuators.base import LOST, STUCK_ON
 from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.plugins.actuators.row import make_base_actuators
 from ffsm_drake.plugins.actuators.thruster_faults import THRUSTER_FAULTS
 from ffsm_drake.plugins.actuators.wheel_set import WHEEL_STOPS
 from ffsm_drake.plugins.estimators.assumed_noise import assumed_noise
+from ffsm_drake.plugins.faults import payload_error
 from ffsm_drake.plugins.faults.bounds import Bounds
+from ffsm_drake.plugins.faults.features import WINDOWS as FORCE_WINDOWS
 from ffsm_drake.plugins.faults.jam import JAMMED
+from ffsm_drake.plugins.faults.panels import AGO, SIZE, SPANS
 from ffsm_drake.plugins.faults.sensors import SENSOR_FAULTS, reports_losses, sensors_of
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.nominal import PlantModel, damping_of
+from ffsm_drake.spacecraft.nominal import damping_of
 from ffsm_drake.systems.sensing.errors import measurement_times
 from ffsm_drake.systems.setup import BlockSetup
 
 _FAULTS = (*THRUSTER_FAULTS, WHEEL_STOPS, JAMMED, *SENSOR_FAULTS)
 # lost samples at random are reported as silence
-KINDS = ("", *(kind.name for kind in _FAULTS if not kind.at_random))
+SUSPECTED = "suspected"  # one of several units is faulty
+KINDS = ("", *(kind.name for kind in _FAULTS if not kind.at_random), SUSPECTED)
 CODE = {kind: float(code) for code, kind in enumerate(KINDS)}
-# control samples of a block; blocks that are kept; looks until a slope is known
+# control samples of a block; blocks that sensors and wheels compare; looks until a slope is known
 EVERY, KEPT, OLD = 5, 61, 20
-WINDOWS = (8, 24, 60)  # blocks
+WINDOWS = (8, 24, 60)  # blocks of sensors and wheels
+SPAN = 65  # blocks that are kept
+REPLACED = ("kept", "frames", "fired")  # in the memory; never changed in place
 LEARNT = 50  # samples, or blocks, after which a variance is known
 _BANDWIDTH = {"base_rotation": 8.0, "base_position": 2.0, "joints": 10.0}  # rad/s
 
@@ -52,11 +56,16 @@ class Memory(SimpleNamespace):
     state, before and after corrections; biases ``off``, base's axes; for how many samples each is
     ``stale``, and how often it ``repeats`` its bits; slips ``since`` then, and their mean square
     ``jitter``; ``observed`` state and ``acceleration`` in place of lost velocities; the usual
-    ``slope`` of slips, after so many ``looks``. Of forces, ``kept`` blocks of ``sums``, the last
-    ``part`` of one, and how many ``blocks`` form a window; ``rough``: mean square of unexplained
-    changes; ``largest`` accelerations of flexible parts; whether the last sample ``jumped``.
-    ``told`` force of units and ``momentum`` of wheels; how often each thruster was ``suspected`` by
-    window. Samples of this ``leg``, which the payload's mass tells.
+    ``slope`` of slips, after so many ``looks``; whether the last sample ``jumped``, and whether a
+    velocity ``was_off``. Of forces, ``kept`` blocks of ``sums``, the last ``part`` of one, and how
+    many ``blocks`` form a window of sensors, or a ``span`` of forces, in blocks of the ``clock``;
+    ``fired`` blocks of ``firing`` sums, weighted by forces, which were ``fires`` a sample before;
+    ``frames``: models at ends of blocks; ``rough``: mean square of unexplained changes; ``grown``
+    forces of flexible parts, for ``grows`` blocks; ``errors`` of the payload that explained blocks.
+    Of decisions: squares ``against`` each unit, when windows ``voted`` last, the unit that
+    ``agreed``, units that are ``doubted``, and for how many blocks there were ``tries``. ``told``
+    force of units and ``momentum`` of wheels. Samples of this ``leg``, which the payload's mass
+    tells.
     """
 
 
@@ -74,8 +83,8 @@ class Known:
         held = setup.grip.carried(scenario.payload).nominal
         self._leg = float(held.mass)
         factor = self._settings.payload_factor if setup.grip.holds else 1.0
-        # the nominal one, those with a light and with a heavy payload
-        self._models = [self._model, *_extremes(setup.mission, factor)]
+        self._box, self._is_loaded = payload_error.intervals(held, factor), held.mass > 0.0
+        self._payload = scenario.payload.body, np.array(held.center_of_mass, dtype=float)
         self._damping = damping_of(self._model.plant)
         self._is_flexible = bool(scenario.model.flexible)
         actuation = allocated(scenario)
@@ -121,24 +130,33 @@ class Known:
         self._force = np.zeros(0) if self._thrusters is None else self._thrusters.force
         self._num_units = 0 if base is None else len(base.units)
         self._num_wheels = self._num_units - len(self._force)
-        # columns of a block: unexplained velocities of each model, slips, motions, velocities,
-        # commanded impulses, momenta that wheels did not take
-        models = len(self._models) * nv
-        widths = {"left": models, "slip": nv, "moved": nv, "velocity": nv}
+        # columns of a block: unexplained velocities, slips, motions, velocities, impulses of
+        # thrusters, commanded impulses as wheels see them, momenta that wheels did not take
+        count, self._joints = len(self._force), tuple(self._model.coordinates.joints)
+        widths = {"left": nv, "slip": nv, "moved": nv, "velocity": nv, "impulse": count}
         widths |= {"told": self._num_units, "beyond": self._num_wheels}
         ends = np.cumsum([0, *widths.values()]).tolist()
         self._at = {
             name: slice(*pair) for name, pair in zip(widths, itertools.pairwise(ends), strict=True)
         }
+        counters = ("leg", "samples", "blocks", "looks", "abort_request", "jumped")
+        counters += ("span", "clock", "tries", "was_off")
+        frame = nv * (nv + 1 + count) + 6 * nv + 15
+        firing, units = count * (count + 2 * nv + 2), len(self._joints) + count
+        rows = 2 * len(FORCE_WINDOWS)
         self._shapes: dict[str, tuple[int, ...]] = {
-            **dict.fromkeys(("leg", "samples", "blocks", "looks", "abort_request", "jumped"), ()),
+            **dict.fromkeys(counters, ()),
             **dict.fromkeys(("raw", "seen", "stale", "observed"), (size,)),
             **dict.fromkeys(("off", "since"), (2 * nv,)),
-            **dict.fromkeys(("jitter", "rough", "largest", "slope", "acceleration"), (nv,)),
+            **dict.fromkeys(("jitter", "rough", "slope", "acceleration"), (nv,)),
             **dict.fromkeys(("sums", "part"), (ends[-1],)),
             "codes": (len(self._names),), "repeats": (len(self._sensors),),
-            "told": (self._num_units,), "momentum": (self._num_wheels,), "kept": (KEPT, ends[-1]),
-            "suspected": (len(WINDOWS), len(self._force)),
+            "told": (self._num_units,), "momentum": (self._num_wheels,), "kept": (SPAN, ends[-1]),
+            "frames": (SPAN, frame), "firing": (firing,), "fired": (SPAN, firing),
+            "fires": (count,), "against": (rows, units), "voted": (rows,), "agreed": (3,),
+            "doubted": (1 + units,), "errors": (payload_error.NUM_ERRORS,),
+            "grows": (len(SPANS) * self._is_flexible,),
+            "grown": ((AGO + 1) * self._is_flexible, len(SPANS), SIZE),
         }  # fmt: skip
 
     def _unit(self, sensor: str) -> int:
@@ -154,16 +172,14 @@ class Known:
         return told
 
     def _changes(self, state: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        """Accelerations (models, nv, n) under generalized forces (nv, n), of which all but the
-        first act alone.
+        """Accelerations (nv, n) under generalized forces (nv, n), of which all but the first act
+        alone.
         """
         q, v = np.split(state, [self._nq])
         forces = forces.copy()
-        changes, total = [], forces[:, 0].copy()
-        for model in self._models:
-            forces[:, 0] = total - model.calc_bias(q, v)
-            changes.append(np.linalg.solve(model.calc_mass_matrix(q), forces))
-        return np.array(changes)
+        forces[:, 0] -= self._model.calc_bias(q, v)
+        changes: np.ndarray = np.linalg.solve(self._model.calc_mass_matrix(q), forces)
+        return changes
 
     def _pushes(self, state: np.ndarray) -> np.ndarray:
         """Generalized forces (nv, n) of unit forces of thrusters."""
@@ -175,21 +191,5 @@ class Known:
 
     @staticmethod
     def _forget(memory: Memory) -> None:
-        """Begin a window with the next block."""
-        memory.blocks = -1.0
-
-
-def _extremes(mission: Mission, factor: float) -> list[PlantModel]:
-    """The models with the lightest and the heaviest payload."""
-    payload = mission.scenario.payload
-    if factor == 1.0:
-        return []
-    models = []
-    for share in (1.0 / factor, factor):
-        inertia = [share * each for each in payload.nominal.inertia]
-        nominal = dataclasses.replace(
-            payload.nominal, mass=share * payload.nominal.mass, inertia=inertia
-        )
-        changed = dataclasses.replace(payload, nominal=nominal)
-        models.append(mission.flown_by(payload=changed).craft.nominal())
-    return models
+        """Begin all windows with the next block."""
+        memory.blocks, memory.span = -1.0, -1.0

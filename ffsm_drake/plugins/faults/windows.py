@@ -1,8 +1,6 @@
-"""Values over a window of time: their slope, noise and interval."""
+"""Values over a window of time: their slope and noise."""
 
 import numpy as np
-
-_WIDER = 0.25  # widening of the interval between light and heavy payloads, as a share of it
 
 
 def times_of(count: int, step: float) -> np.ndarray:
@@ -26,10 +24,3 @@ def slope_of(
     time = times_of(len(values), step)
     square, noise = float(time @ time), noise_of(values, np.asarray(least))
     return np.tensordot(time, values, axes=1) / square, noise / np.sqrt(square)
-
-
-def between(of_models: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The ends of the intervals that the values (models, ...) of payloads at their bounds span."""
-    low, high = of_models.min(axis=0), of_models.max(axis=0)
-    more = _WIDER * (high - low)
-    return low - more, high + more

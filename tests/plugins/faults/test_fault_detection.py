@@ -6,19 +6,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
 
 from ffsm_drake import load_scenario, simulate
 from ffsm_drake.plugins.actuators.base import LOST
 from ffsm_drake.plugins.actuators.row import make_base_actuators
-from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
 from ffsm_drake.plugins.faults.detection import KINDS
-from ffsm_drake.plugins.faults.thruster_watch import suspect
 from ffsm_drake.plugins.faults.windows import slope_of
 from ffsm_drake.runs.exceeded_limits import run_remarks
 from ffsm_drake.runs.phases import make_rollout
-from ffsm_drake.scenario import Thrusters
 from ffsm_drake.spacecraft.coordinates import position_error
 from ffsm_drake.spacecraft.craft import make_nominal_plant
 
@@ -163,94 +158,7 @@ def test_a_joint_that_nothing_moves_is_not_jammed_but_known_once_the_bound_is_sm
     assert noticed(log) == {"joints.joint_1": "jammed"}
 
 
-SET = ThrusterSet(Thrusters(), sample_time=0.01)
 STEP, COUNT = 0.05, 32
-
-
-def window(rng, noise=1e-5):
-    """Pulses as told (m, n), N s, and the noise of what is unexplained (m, 6)."""
-    fired = STEP * SET.force * (rng.random((COUNT, len(SET.force))) < 0.15)
-    return np.cumsum(fired, axis=0), noise * rng.standard_normal((COUNT, 6))
-
-
-BOUND, NOISE, BAND = 1e-3, 1e-5, 10.0  # rad/s^2 and m/s^2; rad/s and m/s; rad/s
-
-
-def ask(unexplained, told, *others, pushes=SET.wrenches / 500.0, holds=None):
-    count = len(pushes)
-    return suspect(
-        np.stack([unexplained, *others], axis=1), told, pushes=pushes,
-        force=SET.force, bound=np.full(count, BOUND), noise=np.full(count, NOISE),
-        in_use=np.ones(len(SET.force), dtype=bool), step=STEP, band=BAND,
-        holds=np.zeros((count, 0)) if holds is None else holds,
-    )  # fmt: skip
-
-
-def disturbance(rng):
-    """The velocities (m, 6) of sines within the bound, of any phase and frequency."""
-    time = STEP * np.arange(COUNT)[:, None]
-    frequency, phase = rng.uniform(0.01, BAND, 6), rng.uniform(0.0, 2.0 * np.pi, 6)
-    return BOUND * np.sin(frequency * time + phase) / frequency
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 11), st.booleans(), st.floats(0.35, 1.0), st.integers(0, 10**6))
-def test_the_bank_names_the_thruster(index, is_loss, share, seed):
-    rng = np.random.default_rng(seed)
-    told, unexplained = window(rng, NOISE)
-    assume(not is_loss or share * told[-1, index] >= 1.0)  # N s; of less it is not sure
-    push = SET.wrenches[:, index] / 500.0
-    time = STEP * np.arange(COUNT)
-    more = -told[:, index] if is_loss else SET.force[index] * time - told[:, index]
-    found = ask(unexplained + share * np.outer(more, push) + disturbance(rng), told)
-    assert (found.thruster, found.is_isolated) == (index, True)
-    assert found.kind in (("stuck_off", "weak") if is_loss else ("stuck_on", "leaking"))
-    assert found.theta == pytest.approx(share, abs=0.25)
-    assert found.explained > 64.0
-
-
-def bodies(rng):
-    """Accelerations (9, n) by thrusters and (9, 3) by forces on three joints, of a drawn mass
-    matrix.
-    """
-    arm = rng.uniform(0.3, 1.0, (9, 9)) * rng.choice([-1.0, 1.0], (9, 9))
-    inverse = np.linalg.inv(np.diag([500.0] * 6 + [5.0] * 3) + 0.5 * arm @ arm.T)
-    return inverse[:, :6] @ SET.wrenches, inverse[:, 6:]
-
-
-@settings(max_examples=25, deadline=None)
-@given(st.integers(0, 11), st.integers(0, 2), st.integers(0, 10**6))
-def test_the_bank_accuses_no_thruster_of_a_jam(index, joint, seed):
-    """The force that holds a joint pushes the base as a thruster would: what the joints do tells
-    them apart, and a thruster is still named beside joints that stand still.
-    """
-    rng = np.random.default_rng(seed)
-    pushes, holds = bodies(rng)
-    told, _ = window(rng)
-    noise = NOISE * rng.standard_normal((COUNT, 9))
-    thrust = SET.force[index] * STEP * np.arange(COUNT) - told[:, index]
-    size = SET.force[index] * np.linalg.norm(pushes[:6, index]) / np.linalg.norm(holds[:6, joint])
-    held = noise + np.outer(size * thrust / SET.force[index], holds[:, joint])
-    assert not ask(held, told, pushes=pushes, holds=holds).is_isolated
-    found = ask(noise + np.outer(thrust, pushes[:, index]), told, pushes=pushes, holds=holds)
-    assert (found.thruster, found.is_isolated) == (index, True)
-    # a jam that moves the base alone would be that thruster
-    pushes[:6, index] = holds[:6, joint] * np.linalg.norm(pushes[:6, index])
-    pushes[:6, index] /= np.linalg.norm(holds[:6, joint])
-    assert ask(held, told, pushes=pushes).is_isolated
-
-
-def test_the_bank_is_silent_on_noise_disturbances_and_wrong_masses():
-    rng = np.random.default_rng(1)
-    for _ in range(100):
-        told, unexplained = window(rng, NOISE)
-        unexplained += disturbance(rng)
-        # pulses do less on a heavier spacecraft than on the nominal one, more on a lighter
-        of_masses = told @ (SET.wrenches / 500.0).T
-        heavy, light = (unexplained + by * of_masses for by in (0.3, -0.3))
-        truth = rng.uniform(-0.3, 0.3) * of_masses
-        found = ask(unexplained + truth, told, heavy + truth, light + truth)
-        assert found.explained < 36.0
 
 
 def test_slopes():

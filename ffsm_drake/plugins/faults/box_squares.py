@@ -1,0 +1,75 @@
+"""Least squares with every unknown in an interval, for many small problems at once."""
+
+import numpy as np
+
+_STEPS, _GAP = 40, 0.5  # steps at most; largest excess of half a sum of squares
+_BACK, _CENTRED, _LEAST = 0.95, 0.1, 1e-4  # share of the way to a bound; of the barrier
+
+
+def least_squares(
+    matrix: np.ndarray, values: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the least |y - A x|^2 (n) with low <= x <= high, to twice ``_GAP``, and x (n, m).
+
+    A primal-dual interior-point method (Nocedal and Wright, Numerical Optimization, 2nd ed.,
+    section 16.6); each step solves systems of as many equations as y has numbers.
+
+    Args:
+      matrix: A (n, k, m).
+      values: y (n, k).
+      low: (n, m).
+      high: (n, m), above ``low``.
+    """
+    centre, scale = 0.5 * (high + low), 0.5 * (high - low)
+    left = values - np.einsum("nij,nj->ni", matrix, centre)
+    scaled = matrix * scale[:, None]
+    found, squares = np.zeros_like(centre), np.zeros(len(values))
+    first = np.maximum((left**2).sum(axis=1), 1.0)[:, None] / max(centre.shape[1], 1)
+    live, x = np.arange(len(values)), np.zeros_like(centre)
+    up, down = np.repeat(first, centre.shape[1], axis=1), np.repeat(first, centre.shape[1], axis=1)
+    for step in range(_STEPS + 1):
+        rooms = 1.0 + x, 1.0 - x
+        gap = (rooms[0] * up + rooms[1] * down).sum(axis=1)
+        goes = gap >= _GAP if step < _STEPS else np.zeros(len(live), dtype=bool)
+        if not goes.all():
+            found[live[~goes]], squares[live[~goes]] = x[~goes], (left[~goes] ** 2).sum(axis=1)
+            live, x, left, up, down, scaled, gap = (
+                each[goes] for each in (live, x, left, up, down, scaled, gap)
+            )
+            if not live.size:
+                break
+        change, up, down = _advanced(scaled, left, x, up, down, gap)
+        x = x + change
+        left = left - np.einsum("nij,nj->ni", scaled, change)
+    return squares, centre + scale * found
+
+
+def _advanced(
+    matrix: np.ndarray,
+    left: np.ndarray,
+    x: np.ndarray,
+    up: np.ndarray,
+    down: np.ndarray,
+    gap: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The change of x within +-1, and the next multipliers of both bounds."""
+    over, under = 1.0 + x, 1.0 - x
+    barrier = np.maximum(_CENTRED * gap / (2.0 * x.shape[1]), _LEAST)[:, None]
+    weight = up / over + down / under
+    pull = np.einsum("nij,ni->nj", matrix, left) + barrier / over - barrier / under
+    by_weight = matrix / weight[:, None]
+    system = np.eye(matrix.shape[1]) + by_weight @ matrix.swapaxes(1, 2)
+    along = np.linalg.solve(system, np.einsum("nij,nj->ni", by_weight, pull)[..., None])[..., 0]
+    change = pull / weight - np.einsum("nij,ni->nj", by_weight, along)
+    of_up = (barrier - up * change) / over - up
+    of_down = (barrier + down * change) / under - down
+    primal = np.minimum(_room(over, change), _room(under, -change)).min(axis=1, keepdims=True)
+    dual = np.minimum(_room(up, of_up), _room(down, of_down)).min(axis=1, keepdims=True)
+    primal, dual = np.minimum(1.0, _BACK * primal), np.minimum(1.0, _BACK * dual)
+    return primal * change, up + dual * of_up, down + dual * of_down
+
+
+def _room(value: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """How many changes a positive value stays positive."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(change < 0.0, -value / change, np.inf)
