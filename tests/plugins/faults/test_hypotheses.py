@@ -15,6 +15,7 @@ from ffsm_drake.plugins.faults.box_squares import least_squares
 from ffsm_drake.plugins.faults.decision import decided
 from ffsm_drake.plugins.faults.features import Means, Places
 from ffsm_drake.plugins.faults.hypotheses import ALARM, Hypotheses, Vote, vote
+from ffsm_drake.plugins.faults.panels import AGO, SIZE, SPANS, PanelBound
 from ffsm_drake.plugins.faults.payload_error import force_by_errors, intervals, place
 from ffsm_drake.scenario import MassProperties
 
@@ -208,3 +209,17 @@ def test_units_that_cannot_be_told_apart_are_reported_together():
     assert found is not None
     assert found.units.tolist() == [0, 2]
     assert now >= 69
+
+
+def test_a_new_force_does_not_widen_the_bound_of_panels():
+    """Of a force of 2 N on each coordinate, then of 50 N for less than 2 s."""
+    step, mass, total = 0.05, np.tile(np.diag(np.arange(10.0, 10.0 + NV)), (65, 1, 1)), 200
+    panels = PanelBound(np.zeros((AGO + 1, len(SPANS), SIZE)), np.zeros(len(SPANS)))
+    force = np.where(np.arange(total) < total - AGO + 2, 2.0, 50.0)[:, None]
+    left = np.cumsum(step * force / np.diag(mass[0]), axis=0)
+    for end in range(65, total + 1):
+        panels.update(left[end - 65 : end], mass, np.zeros(NV), step)
+        if end == 66:
+            assert (panels.of(4, is_slope=True) > 20.0).all()
+    assert panels.of(4, is_slope=True) == pytest.approx(np.full(SIZE, 6.0))
+    assert panels.of(64, is_slope=True) == pytest.approx(np.full(SIZE, 4.0))
