@@ -118,15 +118,14 @@ def fired(sums: np.ndarray, force: np.ndarray, noise: np.ndarray, step: float) -
             back = share @ np.arange(window)[::-1] / share.sum()
             row = (np.array(window), np.array(round(back + 0.4)), left, left + expected)
             found.append((*row, noise * rough, mean[:count]))
-    if not found:
-        none, empty = np.zeros((0, nv)), np.zeros(0, dtype=int)
-        found_arrays = [empty, empty, none, none, none, np.zeros((0, count))]
+    if found:
+        arrays = [np.array(each) for each in zip(*found, strict=True)]
     else:
-        found_arrays = [np.array(each) for each in zip(*found, strict=True)]
-    window, middle, left, acceleration, noises, told = found_arrays
+        none, empty = np.zeros((0, nv)), np.zeros(0, dtype=int)
+        arrays = [empty, empty, none, none, none, np.zeros((0, count))]
     return Means(
-        window=window, is_slope=np.zeros(len(window), dtype=bool), middle=middle,
-        unexplained=left, acceleration=acceleration, noise=noises, told=told,
+        window=arrays[0], is_slope=np.zeros(len(arrays[0]), dtype=bool), middle=arrays[1],
+        unexplained=arrays[2], acceleration=arrays[3], noise=arrays[4], told=arrays[5],
     )  # fmt: skip
 
 

@@ -139,13 +139,13 @@ class Known:
         self._at = {
             name: slice(*pair) for name, pair in zip(widths, itertools.pairwise(ends), strict=True)
         }
-        counters = ("leg", "samples", "blocks", "looks", "abort_request", "jumped")
-        counters += ("span", "clock", "tries", "was_off")
+        of_sensors = ("leg", "samples", "blocks", "looks", "abort_request", "jumped")
+        of_forces = ("span", "clock", "tries", "was_off")
         frame = nv * (nv + 1 + count) + 6 * nv + 15
         firing, units = count * (count + 2 * nv + 2), len(self._joints) + count
         rows = 2 * len(FORCE_WINDOWS)
         self._shapes: dict[str, tuple[int, ...]] = {
-            **dict.fromkeys(counters, ()),
+            **dict.fromkeys((*of_sensors, *of_forces), ()),
             **dict.fromkeys(("raw", "seen", "stale", "observed"), (size,)),
             **dict.fromkeys(("off", "since"), (2 * nv,)),
             **dict.fromkeys(("jitter", "rough", "slope", "acceleration"), (nv,)),

@@ -90,8 +90,11 @@ class MotionWatch(SensorWatch):
         """Slopes, then means that are weighted by forces."""
         kept, count = memory.kept[-span:], len(self._force)
         noise = np.maximum(self._velocity_noise, _NOISE)
-        columns = [kept[:, self._at[name]] for name in ("left", "velocity", "impulse")]
-        found = [features.slopes(*columns, noise / np.sqrt(EVERY), EVERY * self._step)]
+        left, velocity, impulse = (
+            kept[:, self._at[name]] for name in ("left", "velocity", "impulse")
+        )
+        of_block = noise / np.sqrt(EVERY)
+        found = [features.slopes(left, velocity, impulse, of_block, EVERY * self._step)]
         if count:
             sums = memory.fired[-span:].reshape(span, count, -1)
             found.append(features.fired(sums, self._force, noise, self._step))
