@@ -110,11 +110,12 @@ class Listening(detection.Detector):
 
     def __init__(self, setup: BlockSetup) -> None:
         super().__init__(setup)
-        self.grip, self.fed = setup.grip, list[dict[str, np.ndarray]]()
+        self.grip, self.fed, self.begins = setup.grip, list[dict[str, np.ndarray]](), np.inf
         Listening.all_of.append(self)
 
     def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
         """See Sampled."""
+        self.begins = min(self.begins, float(now.time))
         self.fed.append({name: np.array(value, float) for name, value in inputs.items()})
         same = {"estimated_state": inputs["state"], **inputs, "fault_detected": memory["codes"]}
         return {
@@ -147,7 +148,7 @@ def fed(mission: str, scenario: Scenario) -> dict[str, Any]:
     faults = [dataclasses.asdict(each) for each in scenario.faults.events.values()]
     legs = [
         {"grip": of.grip, "fed": {name: np.array([e[name] for e in of.fed]) for name in of.fed[0]}}
-        for of in Listening.all_of
+        for of in sorted(Listening.all_of, key=lambda of: of.begins)
         if of.fed
     ]
     return {
