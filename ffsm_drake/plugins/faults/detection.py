@@ -6,9 +6,7 @@ At each sample it compares measurements with the commands of the actuators:
   move; biased if a position jumps by more than its velocity explains, or a velocity differs from
   its position's slope;
 - a wheel has stopped if its momentum, from its tachometer, does not follow the commanded torque;
-- a joint is jammed if it stands still under a force beyond the stated bounds of disturbance,
-  friction and payload;
-- thrusters: see ``plugins.faults.thruster_watch``.
+- joints and thrusters: see ``plugins.faults.motion_watch``.
 
 A lost position is extrapolated with its velocity, a lost velocity comes from an observer of
 position and reported force, a bias is subtracted (base sensors: in the base's axes). A lost
