@@ -20,8 +20,8 @@ from ffsm_drake.common.time_limit import TimeLimit, time_limit
 from ffsm_drake.systems.controllers import PAPER_LAWS, complete_gains
 
 BASELINES = (
-    "super_twisting", "terminal_sliding_mode", "fixed_time", "slotine_li", "coordinated", "mpc",
-    "nmpc",
+    "super_twisting", "terminal_sliding_mode", "fixed_time", "prescribed_performance",
+    "fixed_time_observer", "slotine_li", "coordinated", "mpc", "nmpc",
 )  # fmt: skip
 LAWS = (*PAPER_LAWS, "pd_plus", "computed_torque", *BASELINES)
 SEED = 51

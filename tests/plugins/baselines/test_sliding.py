@@ -9,6 +9,7 @@ from ffsm_drake import BlockError, load_scenario, make_nominal_plant
 from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.baselines.fixed_time import FixedTime
 from ffsm_drake.plugins.baselines.powers import signed_power, slope
+from ffsm_drake.plugins.baselines.prescribed_performance import PrescribedPerformance
 from ffsm_drake.plugins.baselines.super_twisting import SuperTwisting
 from ffsm_drake.plugins.baselines.terminal_sliding_mode import TerminalSlidingMode
 from ffsm_drake.systems.controllers import gain_vectors, make_law
@@ -177,7 +178,8 @@ def exponent(unit, base, law):
 
 
 @pytest.mark.parametrize(
-    "law", [Asmc, Aismc, TdeAismc, SuperTwisting, TerminalSlidingMode, FixedTime]
+    "law",
+    [Asmc, Aismc, TdeAismc, SuperTwisting, TerminalSlidingMode, FixedTime, PrescribedPerformance],
 )
 @pytest.mark.parametrize(("base", "factor"), [("s", 2.5), ("rad", 0.3)])
 def test_units_that_a_law_declares(law, base, factor):

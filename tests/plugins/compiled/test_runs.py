@@ -29,7 +29,8 @@ def varied(given, count):
 
 LAWS = (
     "tdc", "asmc", "aismc", "tde_aismc", "computed_torque", "pd_plus", "fixed_time",
-    "super_twisting", "terminal_sliding_mode", "torque_against_momentum",
+    "super_twisting", "terminal_sliding_mode", "torque_against_momentum", "prescribed_performance",
+    "fixed_time_observer",
 )  # fmt: skip
 
 

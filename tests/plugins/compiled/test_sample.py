@@ -19,7 +19,8 @@ from ffsm_drake.scenario import HELD
 
 LAWS = (
     "tde_aismc", "aismc", "asmc", "tdc", "computed_torque", "pd_plus", "super_twisting",
-    "terminal_sliding_mode", "fixed_time", "torque_against_momentum",
+    "terminal_sliding_mode", "fixed_time", "torque_against_momentum", "prescribed_performance",
+    "fixed_time_observer",
 )  # fmt: skip
 SCENARIOS = (
     ("postcapture", ()),

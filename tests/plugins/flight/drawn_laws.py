@@ -10,11 +10,12 @@ from ffsm_drake.systems.controllers import controller_names
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "courier.urdf"
 REFUSED = ("mpc", "nmpc")  # they solve programs
-TRACEABLE = sorted(set(controller_names()) - {*REFUSED})
+LATER = ("fixed_time_observer", "prescribed_performance")  # last, so that other draws stay
+TRACEABLE = [*sorted(set(controller_names()) - {*REFUSED, *LATER}), *LATER]
 OF_FRAMES = ("resolved_rate", "task_computed_torque", "task_time_delay")
 TIME_DELAY = (
-    "aismc", "asmc", "fixed_time", "super_twisting", "task_time_delay", "tdc", "tde_aismc",
-    "terminal_sliding_mode",
+    "aismc", "asmc", "fixed_time", "prescribed_performance", "super_twisting", "task_time_delay",
+    "tdc", "tde_aismc", "terminal_sliding_mode",
 )  # fmt: skip
 CRAFT = ("postcapture", "seven_joint", "courier")  # 5, 7 and 4 joints, the last one a user's
 
@@ -31,8 +32,9 @@ def drawn(seed: int, courier: str, *, gently: bool = False):
     can make its run diverge.
     """
     draw = random.Random(seed)
-    law = TRACEABLE[seed % len(TRACEABLE)]
-    craft = CRAFT[seed // len(TRACEABLE) % len(CRAFT)]
+    others = TRACEABLE[: -len(LATER)]
+    cases = [(law, craft) for laws in (others, LATER) for craft in CRAFT for law in laws]
+    law, craft = cases[seed % len(cases)]
     base = {"courier": courier}.get(craft, craft)
     duration = draw.choice([2.0, 4.0, 6.0])
     duration = 15.0 if gently else duration
