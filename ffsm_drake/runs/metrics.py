@@ -157,11 +157,6 @@ def itae_of(data: "Labelled") -> float:
     return itae(time[:-1] - time[0], error[:-1], float(data.attrs["sample_time"]))
 
 
-def isv_of(data: "Labelled") -> float:
-    """Return ``isv`` of a run's time series."""
-    return isv(data["generalized_force"].values[:-1], float(data.attrs["sample_time"]))
-
-
 # Figure -> headings on a campaign's page, with units, by group.
 _HEADINGS = {
     "peak_error": ("peak attitude error [rad]", "", "peak joint error [rad or m]"),
@@ -183,7 +178,9 @@ METRICS = (
     ),
     Metric(
         key="isv", unit="1", label="ISV", heading="ISV", ranked=True,
-        of=isv_of,
+        of=lambda data: isv(
+            data["generalized_force"].values[:-1], float(data.attrs["sample_time"])
+        ),
     ),
     *(
         Metric(

@@ -70,7 +70,8 @@ def sample_problems(duration: float, sample_time: float, key: str) -> Problems:
     samples = duration / sample_time
     if samples < 0.5 or abs(samples - round(samples)) >= 1e-6:
         whole = f"must be a whole number of control samples of {sample_time:g} s"
-        yield key, f"{whole}, not {duration:g} s"
+        near = (round(samples) or 1) * sample_time
+        yield key, f"{whole}, not {duration:g} s; the nearest is {near:.6g} s"
 
 
 def undriven_problems(name: str, key: str, undriven: Collection[str]) -> Problems:

@@ -2,6 +2,7 @@
 file itself, the overrides.
 """
 
+import contextlib
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from ffsm_drake.scenario.resolving import (
     resolve,
     shown,
 )
+from ffsm_drake.scenario.sensing import FURTHER, Sensing
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml
 
 MANIFEST_FILE = "manifest.json"  # in a run's folder; holds the run's scenario
@@ -44,9 +46,13 @@ class Layer:
 
     def gives(self, key: str) -> bool:
         """Whether the layer holds a dotted key, one within it or one that contains it."""
+        given = self.given
         if self.is_assignment:
-            return is_overridden(key, [self.given.partition("=")[0].strip()])
-        return isinstance(self.given, Mapping) and is_overridden(key, flatten(self.given))
+            name, _, value = given.partition("=")
+            with contextlib.suppress(StrictYamlError):  # a text that is refused names no keys
+                value = read_yaml(value)
+            given = {name.strip(): value}
+        return isinstance(given, Mapping) and is_overridden(key, flatten(given))
 
     def onto(self, schema: Any, below: "Stack") -> "Stack":
         """Return the layers below with this one on top, checked except for conditions on several
@@ -102,6 +108,7 @@ def whole_of(schema: Any, layers: Iterable[Layer]) -> dict[str, Any]:
     stack = Stack({}, {})
     for layer in layers:
         stack = layer.onto(schema, stack)
+        _refuse_both(layer, stack.whole)
     return stack.whole
 
 
@@ -284,6 +291,19 @@ def anchored_policy(controller: str, folder: Path) -> str:
 
 def _policy(file: str, law: str) -> str:
     return f"{POLICY}{file}{law and f'@{law}'}"
+
+
+def _refuse_both(layer: Layer, whole: dict[str, Any]) -> None:
+    """Raise ScenarioError if a layer gives a value per sample of a sensor with a density or
+    time.
+    """
+    sensing = whole["sensing"]
+    now = flatten(vars(Sensing(**sensing).at(abs(whole["sample_time"]) or 1.0)))
+    for key, value in flatten(sensing).items():
+        if value != now[key] and layer.gives(place := f"sensing.{key}"):
+            other = f"sensing.{FURTHER[key.partition('.')[0]]}"
+            problem = f"is set by {other}; remove one of the two, or first set {other}=null"
+            raise ScenarioError(place, problem, source=layer.source)
 
 
 def _at_fault(schema: Any, layers: Sequence[Layer], error: ScenarioError) -> str:

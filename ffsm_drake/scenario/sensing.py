@@ -3,15 +3,23 @@ filters of its output.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from ffsm_drake.common.settings import Problems, join, setting
-from ffsm_drake.scenario.fields import ZERO, PerCoordinate, choice_of, in_samples, unitless
+from ffsm_drake.common.settings import Problems, setting
+from ffsm_drake.scenario.fields import (
+    ZERO,
+    PerCoordinate,
+    choice_of,
+    in_samples,
+    sample_problems,
+    unitless,
+)
 
-# Keys of ``Sensing`` that also have ``<key>_density``, and those that have ``<key>_time``.
 DENSITIES = ("velocity_noise", "position_noise")
 TIMES = ("delay", "velocity_delay", "position_delay", "velocity_period", "position_period")
+# Keys of ``Sensing`` in control samples -> the keys that replace them at any sample time.
+FURTHER = {name: f"{name}_time" for name in TIMES} | {name: f"{name}_density" for name in DENSITIES}
 ESTIMATOR_KINDS = ("one_sample", "kalman", "coupled")
 
 
@@ -88,21 +96,28 @@ class CommandFilter:
     )
 
 
-def _density(of: str, unit: str) -> Any:
+def _value(values: PerCoordinate, key: str) -> float | None:
+    """Return the value of a coordinate or group, which its group or ``all`` may give."""
+    stem = key.rstrip("_xyz")
+    group = stem if stem in ("all", "base_rotation", "base_position") else "joints"
+    return values.get(key, values.get(group, values.get("all")))
+
+
+def _per_sample(name: str, value: float, sample_time: float, period: float = 1) -> float:
+    value = value if 0.0 <= value < math.inf else 0.0  # a wrong one is refused by its own key
+    if name in DENSITIES:
+        return value / math.sqrt(sample_time * period)
+    return int(math.ceil(value / sample_time - 1e-6) or name.endswith("period"))
+
+
+def _instead(of: str, unit: str = "s", meaning: str = "time, in whole control samples,") -> Any:
     return setting(
-        None,
-        f"{unit} per sqrt(Hz)",
-        f"density of the white {of} noise, which sets ``{of}_noise`` for its coordinates to "
-        f"density / sqrt(sample_time); null: ``{of}_noise`` is used",
-        least=0,
+        None, unit, f"{meaning} that sets ``{of}`` for its coordinates; null: it does not", least=0
     )
 
 
-def _time(of: str) -> Any:
-    meaning = (
-        f"time that replaces ``{of}``, a whole number of control samples; null: ``{of}`` is used"
-    )
-    return setting(None, "s", meaning, least=0)
+# Begins the meaning of a density.
+_DENSITY = "density of white noise, divided by the square root of the time between measurements,"
 
 
 @dataclass
@@ -196,44 +211,39 @@ class Sensing:
     position_delay: dict[str, int] = in_samples(
         {"all": 0}, "age of measured positions in addition to ``delay``"
     )
-    velocity_noise_density: PerCoordinate | None = _density("velocity", "rad/s or m/s")
-    position_noise_density: PerCoordinate | None = _density("position", "rad or m")
-    delay_time: float | None = _time("delay")
-    velocity_delay_time: PerCoordinate | None = _time("velocity_delay")
-    position_delay_time: PerCoordinate | None = _time("position_delay")
-    velocity_period_time: PerCoordinate | None = _time("velocity_period")
-    position_period_time: PerCoordinate | None = _time("position_period")
+    velocity_noise_density: PerCoordinate | None = _instead(
+        "velocity_noise", "rad/s or m/s per sqrt(Hz)", _DENSITY
+    )
+    position_noise_density: PerCoordinate | None = _instead(
+        "position_noise", "rad or m per sqrt(Hz)", _DENSITY
+    )
+    delay_time: float | None = _instead("delay")
+    velocity_delay_time: PerCoordinate | None = _instead("velocity_delay")
+    position_delay_time: PerCoordinate | None = _instead("position_delay")
+    velocity_period_time: PerCoordinate | None = _instead("velocity_period")
+    position_period_time: PerCoordinate | None = _instead("position_period")
 
     def at(self, sample_time: float) -> "Sensing":
         """Return the sensors with their densities and times as values of control samples."""
-        found: dict[str, Any] = {}
-        for name in (*DENSITIES, *TIMES):
-            dense, least = name in DENSITIES, int(name.endswith("period"))
-
-            def of_sample(value: float, dense: bool = dense, least: int = least) -> float:
-                if not 0.0 <= value < math.inf:  # a wrong one is refused by its own key
-                    return least
-                if dense:
-                    return value / math.sqrt(sample_time)
-                return max(math.ceil(value / sample_time - 1e-6), least)
-
-            given = getattr(self, f"{name}_{'density' if dense else 'time'}")
+        found = dict(vars(self))
+        for name, other in FURTHER.items():
+            given, own, period = found[other], found[name], found.get(f"{name[:8]}_period", {})
             if isinstance(given, dict):
-                own = {key: of_sample(each) for key, each in given.items()}
-                found[name] = getattr(self, name) | own
+                found[name] = own | {
+                    key: _per_sample(name, value, sample_time, abs(_value(period, key) or 1))
+                    for key in own | period | given
+                    if (value := _value(given, key)) is not None
+                }
             elif given is not None:
-                found[name] = of_sample(given)
-        return replace(self, **found) if found else self
+                found[name] = _per_sample(name, given, sample_time)
+        return Sensing(**found)
 
     def check(self, key: str, scenario: Any) -> Problems:
         """Check that times are whole numbers of control samples."""
-        step = scenario.sample_time
-        for place in (join(key, f"{name}_time") for name in TIMES):
-            given = getattr(self, place.rpartition(".")[2])
-            each = given if isinstance(given, dict) else {"": given or 0.0}
+        for name in TIMES:
+            given = getattr(self, FURTHER[name])
+            each = given if isinstance(given, dict) else {"": given}
             for inner, time in each.items():
-                below = math.floor(time / step + 1e-6)
-                if abs(time / step - below) > 1e-6:
-                    near = f"the nearest are {below * step:.6g} and {(below + 1) * step:.6g} s"
-                    problem = f"{time:g} s are not a whole number of samples of {step:g} s; {near}"
-                    yield f"{place}.{inner}".rstrip("."), problem
+                if time:
+                    place = f"{key}.{FURTHER[name]}.{inner}".rstrip(".")
+                    yield from sample_problems(time, scenario.sample_time, place)

@@ -4,7 +4,6 @@ import csv
 import dataclasses
 import io
 import math
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -84,11 +83,10 @@ def _latex_cell(cell: str | float | None, digits: int) -> str:
     if isinstance(cell, int):
         return f"${cell}$"
     text = f"{cell:#.{digits}g}".removesuffix(".")
-    return re.sub(r"^(.*)e([+-]\d+)$", _with_power, text) if "e" in text else f"${text}$"
-
-
-def _with_power(found: re.Match[str]) -> str:
-    return rf"${found[1].removesuffix('.')} \times 10^{{{int(found[2])}}}$"
+    if "e" not in text:
+        return f"${text}$"
+    number, power = text.split("e")
+    return rf"${number.removesuffix('.')} \times 10^{{{int(power)}}}$"
 
 
 def _empty(cell: float | None) -> bool:

@@ -12,7 +12,7 @@ from pydrake.systems.analysis import Simulator
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario, make_nominal_plant, override_scenario
-from ffsm_drake.systems.sensing.part import make_sensing
+from ffsm_drake.systems.sensing.part import Sensing
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "astrobee_imu.yaml"
 STEP = 0.01  # s
@@ -55,7 +55,7 @@ def simulated_log(seed, duration, *overrides):
     coordinates = make_nominal_plant(scenario).coordinates
     times = STEP * np.arange(round(duration / STEP))
     flown = attitudes(times, np.random.default_rng(seed))
-    sensing = make_sensing(scenario.sensing, coordinates, sample_time=STEP)
+    sensing = Sensing(scenario.sensing, coordinates, sample_time=STEP)
     log = measured(sensing, times, flown)
     gyro = flown.inv().apply(log[:, 12:15])
     new = slice(26, None, 20)  # a pose of each 20th sample arrives six samples later

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake import ScenarioError, load_scenario, make_closed_loop, make_nominal_plant
 from ffsm_drake.spacecraft.coordinates import position_error
 from ffsm_drake.systems.quantization import quantize
-from ffsm_drake.systems.sensing.part import make_sensing
+from ffsm_drake.systems.sensing.part import Sensing
 
 # Of the shipped scenario.
 NOISE = (
@@ -149,7 +149,7 @@ def test_a_turned_spacecraft_measures_the_same_in_its_axes(kind):
         "postcapture", [*NO_NOISE, *(f"sensing.{o}" for o in KINDS_IN_BASE[kind])]
     )
     coordinates = make_nominal_plant(scenario).coordinates
-    sensing = make_sensing(scenario.sensing, coordinates, sample_time=0.01)
+    sensing = Sensing(scenario.sensing, coordinates, sample_time=0.01)
     rng, nv = np.random.default_rng(1), len(coordinates.names)
     vectors, joints = rng.normal(size=(3, 3)), rng.normal(size=(2, nv - 6))
 
@@ -257,7 +257,7 @@ def noise_of(overrides, *, samples, seed=0):
     """What the sensors add to a state at rest, with no white noise: (samples, nq + nv)."""
     scenario = load_scenario("postcapture", [*NO_NOISE, *overrides])
     coordinates = make_nominal_plant(scenario).coordinates
-    sensing = make_sensing(scenario.sensing, coordinates, sample_time=0.01)
+    sensing = Sensing(scenario.sensing, coordinates, sample_time=0.01)
     context = sensing.CreateDefaultContext()
     sensing.SetRandomContext(context, RandomGenerator(seed))
     state = np.zeros(2 * len(coordinates.names) + 1)

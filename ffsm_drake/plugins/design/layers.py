@@ -11,9 +11,7 @@ from ffsm_drake.scenario.layers import (
     layers_in,
     override_layers,
 )
-from ffsm_drake.scenario.sensing import DENSITIES, TIMES
-
-_COUNTED = [*((name, f"{name}_density") for name in DENSITIES), *((n, f"{n}_time") for n in TIMES)]
+from ffsm_drake.scenario.sensing import FURTHER
 
 
 def layer_remarks(name: str, overrides: Iterable[Override] = ()) -> Iterator[str]:
@@ -27,8 +25,8 @@ def layer_remarks(name: str, overrides: Iterable[Override] = ()) -> Iterator[str
         for layer in group:
             stack = layer.onto(Scenario, stack)
         period = float(stack.whole.get("sample_time") or Scenario().sample_time)
-        given |= {key: period for key, other in _COUNTED if _gives(group, key)}
-        for key, other in _COUNTED:
+        given |= {key: period for key, other in FURTHER.items() if _gives(group, key)}
+        for key, other in FURTHER.items():
             if _gives(group, other):
                 given.pop(key, None)
     if not stack.whole:
@@ -37,7 +35,7 @@ def layer_remarks(name: str, overrides: Iterable[Override] = ()) -> Iterator[str
     stale = {key: at for key, at in given.items() if at != now and _differs(key, sensing[key])}
     for at in dict.fromkeys(stale.values()):
         keys = [key for key in stale if stale[key] == at]
-        seconds = ", ".join(other for key, other in _COUNTED if key in keys)
+        seconds = ", ".join(other for key, other in FURTHER.items() if key in keys)
         yield (
             f"sample_time: {now:g} s changes the sensors, because of values that were "
             f"given in samples of {at:g} s: sensing.{', '.join(keys)}; set {seconds} instead"

@@ -81,12 +81,8 @@ class Measurement(Sampled):
     @property
     def outputs(self) -> Mapping[str, int]:
         """See Sampled."""
-        return dict.fromkeys(("estimated_state", IS_NEW)[: 1 + self.is_slow], self.size)
-
-    @property
-    def is_slow(self) -> bool:
-        """Whether some measurements are shown for several control samples."""
-        return any(sensor.period > 1 for sensor in self.late)
+        is_slow = any(sensor.period > 1 for sensor in self.late)
+        return dict.fromkeys(("estimated_state", IS_NEW)[: 1 + is_slow], self.size)
 
     @property
     def is_plain(self) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.so3 import turning_matrix
 from ffsm_drake.scenario import Sensing as SensingSettings
+from ffsm_drake.scenario.sensing import FURTHER, TIMES
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 
 
@@ -23,9 +24,9 @@ class SensorErrors:
 
     def of(self, key: str, default: float = 0.0) -> np.ndarray:
         """Return a setting by coordinate (nv)."""
-        for further in (f"{key}_density", f"{key}_time"):
-            if isinstance(given := getattr(self.settings, further, None), dict):
-                self.coordinates.vector(given, key=f"sensing.{further}", default=default)
+        further = FURTHER.get(key, key)
+        if isinstance(given := getattr(self.settings, further), dict):
+            self.coordinates.check_names(given, key=f"sensing.{further}")
         values = getattr(self.settings, key)
         return self.coordinates.vector(values, key=f"sensing.{key}", default=default)
 
@@ -145,9 +146,8 @@ def measurement_times(
     measures along three axes at once, do so at different times.
     """
     errors = SensorErrors(settings, coordinates, 0.0)
-    for name, group in itertools.product(("period", "delay"), ("base_rotation", "base_position")):
-        errors.check_alike(f"position_{name}", group)
-        errors.check_alike(f"velocity_{name}", group)
+    for name, group in itertools.product(TIMES[1:], ("base_rotation", "base_position")):
+        errors.check_alike(name, group)
     period, delay = (
         np.concatenate(errors.pair(name, default)).astype(int)
         for name, default in (("period", 1.0), ("delay", 0.0))

@@ -3,7 +3,7 @@
 import numpy as np
 from pydrake.common import RandomDistribution
 from pydrake.systems.framework import System
-from pydrake.systems.primitives import Gain, LinearSystem, RandomSource
+from pydrake.systems.primitives import LinearSystem, RandomSource
 
 from ffsm_drake.systems.sensing.errors import SensorErrors
 from ffsm_drake.systems.setup import CompositeBlock
@@ -27,19 +27,7 @@ class Noise(CompositeBlock):
         )
 
 
-def white_noise(errors: SensorErrors) -> Noise:
-    """Return one independent Gaussian sample per entry of [q; v] and control period, held in
-    between.
-    """
-    return Noise("white_noise", Gain(errors.deviation), sample_time=errors.sample_time)
-
-
-def drift(errors: SensorErrors) -> Noise:
-    """Return random walks of the velocities' bias, from zero, and correlated noise."""
-    return Noise("drift", _drift(errors), sample_time=errors.sample_time)
-
-
-def _drift(errors: SensorErrors) -> LinearSystem:
+def drift(errors: SensorErrors) -> LinearSystem:
     """First-order Gauss-Markov processes, stationary from the start, from independent samples."""
     drift = errors.drift()
     shown = np.eye(drift.kept.size)

@@ -19,7 +19,7 @@ from ffsm_drake.plugins.design.stability import stability
 from ffsm_drake.plugins.design.stability.planned_dynamics import make_demand
 from ffsm_drake.plugins.design.stability.prediction import predict
 from ffsm_drake.show.results import results_of
-from ffsm_drake.systems.sensing.part import make_sensing
+from ffsm_drake.systems.sensing.part import Sensing
 
 
 def rms_after(record, seconds=5.0):
@@ -247,7 +247,7 @@ def test_the_limit_of_a_loop_that_diverges_at_once_is_unknown():
 
 def test_the_limit_says_nothing_of_sensors_it_does_not_know(monkeypatch):
     lab = types.ModuleType("lab_of_the_sensors")
-    lab.Sensors = lambda setup: make_sensing(
+    lab.Sensors = lambda setup: Sensing(
         setup.scenario.sensing, setup.coordinates, sample_time=setup.sample_time
     )
     monkeypatch.setitem(sys.modules, lab.__name__, lab)
