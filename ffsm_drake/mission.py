@@ -86,7 +86,7 @@ def make_mission(given: Scenario | Mission) -> Mission:
       ScenarioError: the scenario of a given mission has been changed.
     """
     if isinstance(given, Mission):
-        if _contents_of(given.scenario) != given._contents:  # kept results are of the old one
+        if content_of(given.scenario) != given._contents[-1]:  # kept results are of the old one
             raise ScenarioError("scenario", "changed after its mission was made; make a new one")
         return given
     mission = Mission(given)

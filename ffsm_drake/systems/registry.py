@@ -58,10 +58,7 @@ CORE_PARTS = {
 SECTIONS: dict[str, Callable[[Scenario], Any]] = {
     "reference": lambda _: True,
     "sensing": lambda _: True,
-    # ideal actuators too, where they can be made
-    "actuation": lambda scenario: (
-        not scenario.actuation.is_ideal or PARTS.find("actuation") is not None
-    ),
+    "actuation": lambda scenario: _has_actuators(scenario),
     "actuation.thrusters": lambda scenario: scenario.actuation.thrusters,
     "actuation.wheels": lambda scenario: scenario.actuation.wheels,
     "actuation.drives": lambda scenario: scenario.actuation.drives,
@@ -78,6 +75,11 @@ SECTIONS: dict[str, Callable[[Scenario], Any]] = {
 }
 
 
+def _has_actuators(scenario: Scenario) -> bool:
+    """Ideal ones too, where they can be made."""
+    return not scenario.actuation.is_ideal or PARTS.find("actuation") is not None
+
+
 # A policy found so far -> the folder that its file's name is relative to, and the file.
 _POLICIES: dict[str, tuple[Path, Path]] = {}
 # Block -> the factories that can fill it.
@@ -90,7 +92,7 @@ FACTORIES = {
     "phases": Registry[Factory]("phases"),
 }
 # By the section of the scenario that a part describes.
-PARTS: Registry[type[Part]] = Registry("sections", CORE_PARTS)
+PARTS = Registry[type[Part]]("sections", CORE_PARTS)
 # By the beginning of ``KIND:FILE@LAW``.
 CONTROLLER_FILES = Registry[ControllerFile]("controller_files")
 

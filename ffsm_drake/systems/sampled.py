@@ -321,12 +321,7 @@ class _Stepping(BlockSystem):
                 self.DeclareStateOutputPort(each, group)
             else:
                 size = outputs[each]
-                self.DeclareVectorOutputPort(
-                    each,
-                    size,
-                    lambda _, output: output.SetFromVector(np.zeros(output.size())),
-                    {self.nothing_ticket()},
-                )
+                self.DeclareVectorOutputPort(each, size, _no_force, {self.nothing_ticket()})
         if block.per_sample and (memory or self._acts or held):
             period = sample_time / block.per_sample
             self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, weak_callback(self._update))
@@ -433,6 +428,10 @@ class _Stepping(BlockSystem):
             values.set_value(group, read)
         if self._acts and self._is_phased:
             values.set_value(self._phase, np.array(self._block.phase(self._sample(context))))
+
+
+def _no_force(context: Context, output: BasicVector) -> None:
+    output.SetFromVector(np.zeros(output.size()))
 
 
 def _checked(

@@ -70,6 +70,22 @@ def check_law(law: ControlLaw, place: str, memory: Mapping[str, np.ndarray], siz
     _check_held(mapping(held, f"{place}: held"), memory, f"{place}: held")
 
 
+def _is_flag(value: Any, size: int) -> bool:
+    return isinstance(value, bool)
+
+
+def _is_count(value: Any, size: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and value >= 0
+
+
+def _is_names(value: Any, size: int) -> bool:
+    return isinstance(value, tuple) and all(isinstance(each, str) for each in value)
+
+
+def _is_law(value: Any, size: int) -> bool:
+    return value is None or (hasattr(value, "step") and hasattr(value, "dynamics"))
+
+
 def _is_reaching(value: Any, size: int) -> bool:
     if value is None:
         return True
@@ -84,22 +100,10 @@ def _is_reaching(value: Any, size: int) -> bool:
 
 # Attribute -> default, check of a value, and description of a valid one.
 _ATTRIBUTES: dict[str, tuple[Any, Callable[[Any, int], bool], str]] = {
-    "tracks_frame": (False, lambda value, _: isinstance(value, bool), "True or False"),
-    "contacts_read": (
-        0,
-        lambda value, _: type(value) is int and value >= 0,
-        "a number of contacts",
-    ),
-    "random_walks": (
-        (),
-        lambda value, _: isinstance(value, tuple) and all(isinstance(each, str) for each in value),
-        "a tuple of names",
-    ),
-    "by_axis": (
-        None,
-        lambda value, _: value is None or (hasattr(value, "step") and hasattr(value, "dynamics")),
-        "a time-delay law or None",
-    ),
+    "tracks_frame": (False, _is_flag, "True or False"),
+    "contacts_read": (0, _is_count, "a number of contacts"),
+    "random_walks": ((), _is_names, "a tuple of names"),
+    "by_axis": (None, _is_law, "a time-delay law or None"),
     "reaching_gain": (None, _is_reaching, "a ReachingGain of vectors (nv), or None"),
 }
 

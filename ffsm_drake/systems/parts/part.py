@@ -23,12 +23,14 @@ from ffsm_drake.systems.parts.signals import Constant, Signal, Signals
 from ffsm_drake.systems.parts.solid import Solid
 from ffsm_drake.systems.setup import BlockSetup
 
+
+def _is_pair(value: Any) -> bool:
+    return isinstance(value, tuple) and [*map(type, value)] == [str, str]
+
+
 # Method of a part with several results -> check of one result, and description of a valid one.
 _ITEMS: dict[str, tuple[Callable[[Any], bool], str]] = {
-    "check": (
-        lambda value: isinstance(value, tuple) and [*map(type, value)] == [str, str],
-        "pairs of texts, key and problem",
-    ),
+    "check": (_is_pair, "pairs of texts, key and problem"),
     "signals": (lambda value: isinstance(value, Signal), "Signal"),
     "constants": (lambda value: isinstance(value, Constant), "Constant"),
     "metrics": (lambda value: isinstance(value, Metric), "Metric"),
