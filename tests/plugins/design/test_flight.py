@@ -367,7 +367,7 @@ def test_margins_know_the_estimator():
     assert kalman.axes.sample_time_limit.min() > 0.015
 
 
-@pytest.mark.parametrize("payload_range", [("150", "60"), ("-5", "60"), ("60", "60")])
+@pytest.mark.parametrize("payload_range", [("150", "60"), ("0", "60"), ("60", "60")])
 def test_design_refuses_a_payload_range_that_is_none(tmp_path, payload_range):
     arguments = [
         "design",
