@@ -6,7 +6,9 @@ the equations are read from a clone. Its figures of force tracking have no state
 are not compared.
 """
 
+import ast
 import math
+import operator
 import re
 
 import numpy as np
@@ -64,6 +66,28 @@ def states(count=20):
         yield rng.uniform(-3.0, 3.0, 5), rng.normal(size=5)
 
 
+OPERATORS = {
+    ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Pow: operator.pow,
+    ast.USub: operator.neg, ast.UAdd: operator.pos,
+}  # fmt: skip
+
+
+def computed(node, names):
+    """The number that an expression of numbers, names, sums, products, sin and cos stands for."""
+    match node:
+        case ast.Constant(value=float() | int() as number):
+            return number
+        case ast.Name(id=name):
+            return names[name]
+        case ast.UnaryOp(op=sign, operand=operand):
+            return OPERATORS[type(sign)](computed(operand, names))
+        case ast.BinOp(left=left, op=sign, right=right):
+            return OPERATORS[type(sign)](computed(left, names), computed(right, names))
+        case ast.Call(func=ast.Name(id="sin" | "cos" as name), args=[angle]):
+            return getattr(math, name)(computed(angle, names))
+    raise ValueError(f"an expression of another form: {ast.dump(node)}")
+
+
 def theirs(q, v):
     """Their D (5, 5) and C (5), from the assignments of their file."""
     text = outside_file(*SOURCE, "models/dynamics_model.m")
@@ -73,7 +97,7 @@ def theirs(q, v):
     names |= dict(zip(("m_b", "m1", "m2", "I_b", "I1", "I2"), ROBOT.masses + ROBOT.inertias,
                       strict=True))  # fmt: skip
     names |= dict(zip(("l1", "l2", "a1", "a2"), ROBOT.lengths + ROBOT.centers, strict=True))
-    names |= {"b_b": ROBOT.mount[0], "sin": math.sin, "cos": math.cos}
+    names |= {"b_b": ROBOT.mount[0]}
     inertia, bias = np.zeros((5, 5)), np.zeros(5)
     for of, place, value in re.findall(r"^\s*([DC])\(([\d,]+)\)\s*=([^;\n]+);", text, re.MULTILINE):
         at = tuple(int(each) - 1 for each in place.split(","))
@@ -81,8 +105,8 @@ def theirs(q, v):
         if of_entry:
             inertia[at] = inertia[tuple(int(each) - 1 for each in of_entry.groups())]
         else:
-            assert re.fullmatch(r"[\w\s.+*()-]+", value)
-            (inertia if of == "D" else bias)[at] = eval(value, {"__builtins__": {}}, names)
+            parsed = ast.parse(value.strip(), mode="eval").body
+            (inertia if of == "D" else bias)[at] = computed(parsed, names)
     return inertia, bias
 
 
