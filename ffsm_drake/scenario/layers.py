@@ -300,8 +300,11 @@ def _refuse_both(layer: Layer, whole: dict[str, Any]) -> None:
     sensing = whole["sensing"]
     now = flatten(vars(Sensing(**sensing).at(abs(whole["sample_time"]) or 1.0)))
     for key, value in flatten(sensing).items():
-        if value != now[key] and layer.gives(place := f"sensing.{key}"):
-            other = f"sensing.{FURTHER[key.partition('.')[0]]}"
+        further = FURTHER.get(key.partition(".")[0])
+        # an empty mapping sets nothing
+        is_changed = further is not None and value != now.get(key, value)
+        if is_changed and layer.gives(place := f"sensing.{key}"):
+            other = f"sensing.{further}"
             problem = f"is set by {other}; remove one of the two, or first set {other}=null"
             raise ScenarioError(place, problem, source=layer.source)
 

@@ -32,7 +32,7 @@ from ffsm_drake.scenario import (
     thruster_layouts,
 )
 from ffsm_drake.scenario.contacts import CHAIN_LAWS
-from ffsm_drake.scenario.sensing import TIMES
+from ffsm_drake.scenario.sensing import FURTHER, TIMES
 from ffsm_drake.spacecraft.coordinates import BASE_POSITION, BASE_ROTATION, GROUPS
 
 SETTINGS = settings(
@@ -244,8 +244,12 @@ def values(kind, key=""):
 def consistent(data):
     """With a capture the base turns about an eigenaxis; a supervisor plans postures; faults are of
     the scenario's own blocks; phases take whole samples and come before an approach, and their
-    list is not free.
+    list is not free; sensors have a density or time, or a value per sample.
     """
+    sensing = data.get("sensing") or {}
+    for name, further in FURTHER.items():
+        if sensing.get(further) is not None:
+            sensing.pop(name, None)
     data.pop("phases", None)
     phases = (data.get("blocks") or {}).get("phases", {})
     if (data.get("capture") or {}).get("approach") is None:
