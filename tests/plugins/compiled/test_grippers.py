@@ -1,5 +1,6 @@
 """A gripper that closes, compiled, against Drake."""
 
+import dataclasses
 import os
 
 import numpy as np
@@ -102,7 +103,8 @@ def check_closing(variant, seed):
     mission = Mission(scenario)
     case = Case(mission, EMPTY, blocks={GRIPPER: part})
     if limp:
-        case.fixed["limp"], case.parameters["joint_force"] = True, joints
+        case.fixed = dataclasses.replace(case.fixed, limp=True)
+        case.parameters["joint_force"] = joints
     run = Run(mission, case)
     kernel = _kernel(run, alone=False)
     (block,) = [each for name, each in run.blocks.parts.forces.items() if name == "gripper"]
