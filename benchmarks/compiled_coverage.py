@@ -22,7 +22,7 @@ from ffsm_drake import RunRecord, Scenario, load_scenario, simulate
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import shipped_scenarios
-from ffsm_drake.systems.registry import block_names, is_shipped
+from ffsm_drake.systems.registry import shipped_names
 
 _LEAST = 1e-3  # scale of a variable, so that zero has one
 _STATE = ("position", "velocity")
@@ -107,8 +107,7 @@ def main() -> None:
                     scenario = load_scenario(name, [f"controller={law}"])
                     print(row_of_rounding(scenario, name), flush=True)
         return
-    shipped = [name for name in block_names("controller") if is_shipped("controller", name)]
-    laws, rows = given.laws or shipped, list[str]()
+    laws, rows = given.laws or shipped_names("controller"), list[str]()
     of_law = defaultdict[str, list[str]](list)
     for name in given.names:
         ends, worst = dict[str, str](), defaultdict[str, float](float)

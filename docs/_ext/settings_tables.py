@@ -27,7 +27,7 @@ from ffsm_drake.scenario import (
 from ffsm_drake.scenario.resolving import without_null
 from ffsm_drake.systems.controllers.law import gains_of
 from ffsm_drake.systems.faults import fault_kinds
-from ffsm_drake.systems.registry import block_names, find_factory, is_shipped
+from ffsm_drake.systems.registry import find_factory, shipped_names
 
 MARK = "<!-- table -->"
 DOCS = Path(__file__).parents[1]
@@ -58,11 +58,6 @@ class Section:
     path: str  # dotted; empty: the top level
     summary: str  # what the group is; empty where it was said before
     rows: list[Row]
-
-
-def _shipped_laws() -> tuple[str, ...]:
-    """Names of the laws of this package and its plug-ins."""
-    return tuple(name for name in block_names("controller") if is_shipped("controller", name))
 
 
 def _kind(kind: Any, declared: Setting) -> str:
@@ -175,7 +170,7 @@ def scenario_keys() -> Iterator[Section]:
             )
             yield Section(path, "" if cls in described else summary or "", found)
             described.add(cls)
-    for controller in _shipped_laws():
+    for controller in shipped_names("controller"):
         yield Section(f"controllers.{controller}", "", _gains(controller))
 
 
@@ -217,7 +212,7 @@ def block_table() -> str:
 def law_table() -> str:
     """The shipped control laws with the first line of their docstrings, as Markdown."""
     lines = ["| `controller` | law | page |", "|---|---|---|"]
-    for name in _shipped_laws():
+    for name in shipped_names("controller"):
         factory: Any = find_factory("controller", name)
         plugin = plugin_of(factory.__module__)
         page = own_plugins()[plugin].page if plugin else "controllers"
@@ -227,7 +222,7 @@ def law_table() -> str:
 
 def law_modules() -> str:
     """A directive for the docstrings of each shipped control law, as reStructuredText."""
-    laws = (find_factory("controller", name) for name in _shipped_laws())
+    laws = (find_factory("controller", name) for name in shipped_names("controller"))
     modules = dict.fromkeys(law.__module__ for law in laws)
     return "\n\n".join(f".. automodule:: {module}" for module in modules)
 

@@ -35,7 +35,7 @@ from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.plant import add_combined_plant, cause_of
 from ffsm_drake.systems.controllers.law import ControlLaw
 from ffsm_drake.systems.parts.placed import signals_of
-from ffsm_drake.systems.registry import Factory, is_shipped, name_of
+from ffsm_drake.systems.registry import Factory, is_shipped_name, name_of
 
 # A logger records the state before the update at its instant: at t_k it has these signals of sample
 # k - 1.
@@ -417,7 +417,7 @@ def user_supplied(
     """Return the user-supplied blocks of a closed loop, in words by name."""
     names = {name: choice.system for name, choice in scenario.blocks.choices().items()}
     names["controller"] = scenario.controller
-    names = {name: own for name, own in names.items() if not is_shipped(kind_of(name), own)}
+    names = {name: own for name, own in names.items() if not is_shipped_name(kind_of(name), own)}
     names |= {name: name_of(factory) for name, factory in (blocks or {}).items()}
     return {
         name: f"{'' if name == 'controller' else 'blocks.'}{name} '{system}'"

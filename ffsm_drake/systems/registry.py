@@ -104,10 +104,10 @@ def block_names(block: str) -> tuple[str, ...]:
 
 def shipped_names(block: str) -> tuple[str, ...]:
     """Return names of the systems of this package, its plug-ins included, that can fill a block."""
-    return tuple(name for name in block_names(block) if is_shipped(block, name))
+    return tuple(name for name in block_names(block) if is_shipped_name(block, name))
 
 
-def is_shipped(block: str, name: str) -> bool:
+def is_shipped_name(block: str, name: str) -> bool:
     """True if a name stands for a system of this package."""
     offer = FACTORIES[block].offer(name)
     return name in FACTORIES[block].core or (offer is not None and plugin_of(offer.module) != "")

@@ -15,7 +15,7 @@ from ffsm_drake.runs.table import Given, Table
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers import gain_vectors
-from ffsm_drake.systems.registry import is_shipped
+from ffsm_drake.systems.registry import is_shipped_name
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -102,8 +102,8 @@ class Evidence:
         try:
             return gain_vectors(self.scenario, self.coordinates)
         except FfsmError:
-            if is_shipped("controller", self.scenario.controller):  # then no run had these gains
-                raise
+            if is_shipped_name("controller", self.scenario.controller):
+                raise  # no run had these gains
             return {}  # its module is not available; most findings do not need it
 
     def require_period(self) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from ffsm_drake.plugins.flight.functions import Function
+from ffsm_drake.plugins.flight.functions import Function, Place
 from ffsm_drake.plugins.flight.header import MATRIX, static_text
 from ffsm_drake.plugins.flight.layout import WITHOUT, Layout, located, numbers
 from ffsm_drake.plugins.flight.traced import PLANNED, TIME, FlightLaw
@@ -157,6 +157,11 @@ def _table(layout: Layout, name: str, rows: np.ndarray) -> str:
     return f"#define NUM_{name} {count}U\n{declared} = {{\n  {{{inner}}}\n}};\n"
 
 
+def _place_in_input(sizes: Mapping[str, int]) -> Place:
+    """The text of the entry of an input, by its number in the arrays of ``sizes`` in a row."""
+    return lambda _, entry: "in->{}[{}]".format(*located(sizes, entry))
+
+
 def _references(layout: Layout, references: References) -> Iterator[str]:
     """The function ``law_reference``, with what it reads and calls."""
     calls = list[str]()
@@ -166,8 +171,8 @@ def _references(layout: Layout, references: References) -> Iterator[str]:
             name = "REFERENCE"
             places = {"q_d": layout.nq, "v_d": layout.nv, "a_d": layout.nv}
         if isinstance(found, Function):
-            target = lambda _, at, sizes=places: "in->{}[{}]".format(*located(sizes, at))  # noqa: E731
-            text = found.text(f"law_real {TIME}, law_in *in", lambda *_: TIME, target)
+            arguments = f"law_real {TIME}, law_in *in"
+            text = found.text(arguments, lambda *_: TIME, _place_in_input(places))
             yield text.replace("row_of_motion", f"{name.lower()}_at")
             calls.append(f"{name.lower()}_at((law_real)sample * LAW_SAMPLE_TIME, in);")
             continue

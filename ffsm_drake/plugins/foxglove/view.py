@@ -102,7 +102,8 @@ class FoxgloveDoor(Door):
             raise BadFrame from error
         if not isinstance(message, dict):
             raise BadFrame
-        return frame if message.get("op") in ("subscribe", "unsubscribe") else None  # type: ignore[return-value]
+        is_known = message.get("op") in ("subscribe", "unsubscribe")
+        return frame if is_known else None  # type: ignore[return-value]
 
 
 class _Live:

@@ -116,7 +116,8 @@ _COMMON = Space(
 _PYTHON = Space(
     _COMMON, abs=abs, all=all, any=any, divmod=divmod, frozenset=frozenset, ord=ord, repr=repr,
     set=set, sum=_sum, tuple=tuple, sorted=sorted, range=_range, isinstance=isinstance,
-    enumerate=lambda items, start=0: [*enumerate(items, start)], zip=lambda *items: [*zip(*items)],  # noqa: B905
+    enumerate=lambda items, start=0: [*enumerate(items, start)],
+    zip=lambda *items: [*zip(*items, strict=False)],
     reversed=lambda items: [*reversed(items)],
     filter=lambda function, items: [*filter(function, items)],
 )  # fmt: skip
