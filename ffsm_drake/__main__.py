@@ -34,10 +34,12 @@ def _in_utf8() -> None:
 def main() -> None:
     """Run the command line, and end the process."""
     interrupts = handle_signals()
-    gc.set_threshold(_MANY_OBJECTS, *gc.get_threshold()[1:])
+    gc.set_threshold(_MANY_OBJECTS)
     try:
         _main(interrupts)
     except (OSError, ImportError) as error:  # raised by the imports
+        if interrupts.number:  # within an import a signal becomes an ImportError
+            interrupts.end(interrupts.number)
         os.write(2, f"error: {' '.join(str(error).split())}\n".encode("utf-8", "replace"))
         os._exit(2)
 

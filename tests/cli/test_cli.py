@@ -251,7 +251,8 @@ def test_a_silent_command_names_its_steps(tmp_path):
     scenario.write_text("extends: postcapture\npayload: {nominal: {mass: 130}}\n")
     code = (
         "import sys, threading, ffsm_drake.cli.common as c\nfrom ffsm_drake.cli import main\n"
-        "go = threading.Thread(target=c.show_life, args=(threading.Event(),), daemon=True,\n"
+        "from ffsm_drake.cli.progress import show_life\n"
+        "go = threading.Thread(target=show_life, args=(threading.Event(),), daemon=True,\n"
         "    kwargs={'first': 0.01, 'then': 0.05})\n"
         "c.forgiving_stderr(); go.start(); main(prog_name='ffsm')"
     )

@@ -216,6 +216,30 @@ def test_the_watcher_ends_what_never_returns(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+IMPORTING = """
+import os, sys
+import ffsm_drake.__main__ as command
+from ffsm_drake.common.interrupts import interruptible
+def main(interrupts):
+    with interruptible():
+        try:
+            os.kill(os.getpid(), int(sys.argv[1]))
+        except KeyboardInterrupt:  # as the initialisation of a native module does
+            raise ImportError("initialization failed") from None
+command._main = main
+command.main()
+"""
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_within_an_import_is_no_error(number):
+    command = [sys.executable, "-c", IMPORTING, str(int(number))]
+    done = finished(command, stderr=PIPE, text=True, env=environment())
+    assert done.returncode == 128 + number
+    assert "error" not in done.stderr
+    assert "interrupted; again: ffsm" in done.stderr
+
+
 STARTING = """
 import os, subprocess
 from ffsm_drake.common import interrupts
