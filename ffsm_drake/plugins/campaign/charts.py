@@ -29,6 +29,7 @@ def chart_views(findings: Findings) -> dict[str, list[View]]:
         "accuracy": [_cumulative(findings, metric) for metric in ("itae", "isv")],
         "difference": _differences(findings),
         "sensitivity": [_sensitivity(findings)] if findings.drivers else [],
+        "pairs": [_pairs(findings)] if len(findings.pairs) else [],
         "map": []
         if findings.map is None
         else [_map(findings, name, colors) for name in findings.table.runs],
@@ -161,6 +162,28 @@ def _sensitivity(findings: Findings) -> Chart:
     )
     x = "explained variance of failure [%]"
     return _bars(title, traces, findings.drivers, x=x, legend="inside")
+
+
+def _pairs(findings: Findings) -> Chart:
+    """Share of the variance of failure that pairs of values explain beyond each alone."""
+    found = findings.pairs.assign(pair=findings.pairs["first"] + " and " + findings.pairs["second"])
+    rows, traces = list(dict.fromkeys(found["pair"])), []
+    for controller, style in _styles(findings).items():
+        own = found[found["controller"] == controller]
+        if own.empty:
+            continue
+        traces.append({
+            "type": "bar", "name": findings.spec.label(controller),
+            "y": [rows.index(pair) for pair in own["pair"]], "x": 100.0 * own["share"],
+            "customdata": np.column_stack([100.0 * own["chance"], 100.0 * own["observed"]]),
+            "text": own["sides"], "textposition": "none",
+            "marker": {"color": style.color},
+            "hovertemplate": "%{y}: %{x:.1f} % (chance %{customdata[0]:.1f} %)<br>"
+            "%{customdata[1]:.0f} % fail where they are %{text}",
+        })  # fmt: skip
+    title = "Share of the variance of failure explained by two values together, beyond each alone"
+    x = "explained variance of failure [%]"
+    return _bars(title, traces, rows, x=x, legend="inside")
 
 
 def _marked(runs: pd.DataFrame, colors: Mapping[str, str]) -> list[tuple[pd.Series, str, str, str]]:

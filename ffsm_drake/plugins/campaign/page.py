@@ -108,7 +108,7 @@ def _columns(findings: Findings) -> list[Column]:
 
 
 def summary_text(findings: Findings) -> str:
-    """Success rates and the prediction's agreement, as plain text."""
+    """Success rates, the prediction's agreement and interactions, as plain text."""
     rates = [["controller", "settled", "95 % interval", "predicted correctly"]]
     for name, counts in findings.agreement.items():
         rate = findings.success[name]
@@ -122,7 +122,13 @@ def summary_text(findings: Findings) -> str:
     totals = np.sum([*findings.agreement.values()], axis=0).astype(str)
     outcomes = [["", "settled", "not settled"]]
     outcomes += [[f"predicted {name}", *row] for name, row in zip(names, totals, strict=True)]
-    return "\n".join([*aligned(rates), "", *aligned(outcomes), *findings.unpredicted])
+    together = [
+        f"{findings.spec.label(s.controller)}: {s.first} and {s.second} together explain "
+        f"{percent(s.share)} of the failures beyond each alone (chance {percent(s.chance)}); "
+        f"{percent(s.observed)} fail with these values {s.sides}"
+        for s in findings.pairs.itertuples()
+    ]
+    return "\n".join([*aligned(rates), "", *aligned(outcomes), *findings.unpredicted, *together])
 
 
 @step("drawing the page")
@@ -239,17 +245,35 @@ def _comparisons(findings: Findings) -> dict[str, Any]:
                 findings.spec.label(s.controller),
                 percent(s.share),
                 percent(s.chance),
+                percent(s.total) if s.interacts else NONE,
                 _plain(s.correlation),
             ],
-            s.matters,
+            s.matters or s.interacts,
         )
         for s in found.itertuples()
+    ]
+    pairs = [
+        [
+            f"{s.first} and {s.second}",
+            findings.spec.label(s.controller),
+            percent(s.share),
+            percent(s.chance),
+            s.sides,
+            percent(s.observed),
+            percent(min(max(s.additive, 0.0), 1.0)),
+        ]
+        for s in findings.pairs.itertuples()
     ]
     agreement = [
         [findings.spec.label(name), *counts.ravel(), percent(agreed(counts))]
         for name, counts in findings.agreement.items()
     ]
-    return {"differences": differences, "sensitivities": sensitivities, "agreement": agreement}
+    return {
+        "differences": differences,
+        "sensitivities": sensitivities,
+        "pairs": pairs,
+        "agreement": agreement,
+    }
 
 
 def _command(*words: object) -> str:

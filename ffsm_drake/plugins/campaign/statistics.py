@@ -16,6 +16,7 @@ from scipy import stats
 from ffsm_drake.common.interrupts import interruptible
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.steps import step
+from ffsm_drake.plugins.campaign.interactions import interactions
 from ffsm_drake.plugins.campaign.prediction import StabilityMap, predict_map
 from ffsm_drake.plugins.campaign.rows import (
     COMPLETED,
@@ -124,7 +125,7 @@ def _difference(table: Table, first: str, second: str) -> Difference:
         first=first,
         second=second,
         cases=both.size,
-        success=_paired_proportions(
+        success=paired_proportions(
             int((one["is_settled"] & ~both).sum()),
             int((other["is_settled"] & ~both).sum()),
             both.size,
@@ -135,7 +136,7 @@ def _difference(table: Table, first: str, second: str) -> Difference:
     )
 
 
-def _paired_proportions(first: int, second: int, cases: int) -> Interval:
+def paired_proportions(first: int, second: int, cases: int) -> Interval:
     """Difference of two success rates on the same cases, ``first`` and ``second`` of which only one
     controller settled.
 
@@ -164,51 +165,75 @@ def _median(sample: np.ndarray) -> Interval:
 
 
 @step("computing the influence of the values")
-def sensitivities(table: Table, *, seed: int) -> pd.DataFrame:
-    """Effect of every sampled value (``name``) on the failure of the runs of each ``controller``.
+def sensitivities(table: Table, *, seed: int) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Effect of every sampled value (``name``) on the failure of the runs of each ``controller``,
+    and of every pair of values together.
 
-    The columns are NaN if all runs have the same outcome:
+    The columns of the first table are NaN if all runs have the same outcome:
       correlation: Spearman's, with failure; positive: larger values fail more often.
       share: explained share of the variance of failure, by equally filled bins.
       chance: 95 % quantile of the share of a value without effect.
       matters: whether the share is beyond chance.
+      total: the share, plus that of the interactions with this value, if they are beyond chance.
+      interacts: whether they are.
+    The second table has ``controller`` and the columns of ``Interactions.pairs``, of the pairs that
+    explain more than chance.
     """
-    found = pd.DataFrame(
-        [
-            (name, controller, *_sensitivity(table.values.loc[runs.index, name], runs, seed=seed))
-            for controller, runs in table.runs.items()
-            for name in table.values
-        ],
-        columns=["name", "controller", "correlation", "share", "chance"],
-    )
-    return found.assign(matters=found["share"] > found["chance"])
+    alone, together = list[pd.DataFrame](), list[pd.DataFrame]()
+    for controller, runs in table.runs.items():
+        failed, values = (~runs["is_settled"]).to_numpy(float), table.values.loc[runs.index]
+        varies = failed.size >= 2 * BINS and failed.min() < failed.max()
+        empty = (math.nan, math.nan, math.nan)
+        rows = [
+            (
+                name,
+                controller,
+                *(_sensitivity(values[name], failed, seed=seed) if varies else empty),
+            )
+            for name in values
+        ]
+        names = ["name", "controller", "correlation", "share", "chance"]
+        own = pd.DataFrame(rows, columns=names).set_index("name")
+        if varies:
+            found = interactions(values, failed, seed=seed)
+            both = found.together.reindex(own.index, fill_value=0.0)
+            own["interacts"] = both > found.together_chance
+            own["total"] = own["share"] + both.where(own["interacts"], 0.0)
+            pairs = found.pairs[found.pairs["matters"]].assign(controller=controller)
+            together += [pairs] if len(pairs) else []
+        else:
+            own = own.assign(interacts=False, total=math.nan)
+        alone.append(own.reset_index())
+    single = pd.concat(alone, ignore_index=True)
+    pairs = pd.concat(together, ignore_index=True) if together else pd.DataFrame()
+    return single.assign(matters=single["share"] > single["chance"]), pairs
 
 
-def _sensitivity(values: pd.Series, runs: pd.DataFrame, *, seed: int) -> tuple[float, float, float]:
+def _sensitivity(values: pd.Series, failed: np.ndarray, *, seed: int) -> tuple[float, float, float]:
     """Return correlation, share and chance."""
-    failed = (~runs["is_settled"]).to_numpy(float)
-    if failed.size < 2 * BINS or failed.min() == failed.max():
-        return math.nan, math.nan, math.nan
     bins = np.minimum(((stats.rankdata(values) - 0.5) * BINS / values.size).astype(int), BINS - 1)
     generator = np.random.default_rng(seed)
     by_chance = [_explained(bins, generator.permutation(failed)) for _ in range(_PERMUTATIONS)]
     return (
         float(stats.spearmanr(values, failed).statistic),
-        _explained(bins, failed),
+        max(_explained(bins, failed), 0.0),
         float(np.quantile(by_chance, CONFIDENCE)),
     )
 
 
 def _explained(bins: np.ndarray, failed: np.ndarray) -> float:
-    """Variance of the bins' means over the variance of all: the correlation ratio."""
+    """Variance of the bins' means over the variance of all, less its mean without an effect: the
+    correlation ratio of Kelley (1935), an estimate of the first-order Sobol index.
+    """
     count = np.bincount(bins, minlength=BINS)
     mean = np.bincount(bins, weights=failed, minlength=BINS) / np.maximum(count, 1)
-    return float(np.sum(count * (mean - failed.mean()) ** 2) / (failed.size * failed.var()))
+    ratio = float(np.sum(count * (mean - failed.mean()) ** 2) / (failed.size * failed.var()))
+    return 1.0 - (1.0 - ratio) * (failed.size - 1) / (failed.size - np.count_nonzero(count))
 
 
 def most_influential(found: pd.DataFrame) -> list[str]:
-    """Return the names by the share they explain, summed over the controllers, largest first."""
-    total = found.groupby("name", sort=False)["share"].sum()
+    """Return the names by their total shares, summed over the controllers, largest first."""
+    total = found.groupby("name", sort=False)["total"].sum()
     return list(total.sort_values(ascending=False, kind="stable").index)
 
 
@@ -281,6 +306,7 @@ class Findings:
     success: dict[str, Interval]  # by controller
     differences: list[Difference]
     sensitivities: pd.DataFrame
+    pairs: pd.DataFrame  # of values that explain failures together beyond chance
     influential: list[str]  # sampled numbers, most influential first
     agreement: dict[str, np.ndarray]  # by controller
     unpredicted: list[str]  # runs whose loop cannot be linearised, and why; a line per controller
@@ -289,8 +315,13 @@ class Findings:
 
     @property
     def drivers(self) -> list[str]:
-        """The ``influential`` values that explain failures of some controller beyond chance."""
-        matter = {*self.sensitivities["name"][self.sensitivities["matters"]]}
+        """The ``influential`` values that explain failures of some controller beyond chance, alone
+        or with others.
+        """
+        found = self.sensitivities
+        matter = {*found["name"][found["matters"] | found["interacts"]]}
+        for end in ("first", "second"):
+            matter |= {*self.pairs.get(end, ())}
         return [name for name in self.influential if name in matter]
 
     @property
@@ -312,7 +343,7 @@ def find(
     total) controllers of the map. Raises CampaignError when an axis is not a sampled number.
     """
     spec, table = store.spec, read_table(store)
-    found = sensitivities(table, seed=spec.seed)
+    found, pairs = sensitivities(table, seed=spec.seed)
     influential = most_influential(found)
     if axes is None and len(influential) >= 2:
         axes = (influential[0], influential[1])
@@ -322,6 +353,7 @@ def find(
         success={name: success_rate(runs) for name, runs in table.runs.items()},
         differences=paired_differences(table),
         sensitivities=found,
+        pairs=pairs,
         influential=influential,
         agreement={name: agreement(runs) for name, runs in table.runs.items()},
         unpredicted=_unpredicted(store),

@@ -110,7 +110,7 @@ def test_sensitivity_tells_the_cause_from_the_bystander():
         tdc=make_runs(cause < 0.8),
         asmc=make_runs(np.abs(cause - 0.5) < 0.4),
     )
-    every = sensitivities(table, seed=0)
+    every, _ = sensitivities(table, seed=0)
     found = {(item.name, item.controller): item for item in every.itertuples()}
     # one bin straddles the limit
     assert found["cause", "tdc"].share == pytest.approx(1.0, abs=0.15)
@@ -121,6 +121,26 @@ def test_sensitivity_tells_the_cause_from_the_bystander():
     assert not found["bystander", "tdc"].matters
     assert not found["bystander", "asmc"].matters
     assert most_influential(every) == ["cause", "bystander"]
+
+
+def test_values_that_fail_together_are_told_with_their_total():
+    """Each alone explains nothing; a third does not matter."""
+    generator = np.random.default_rng(4)
+    values = {name: generator.random(500) for name in ("one", "other", "third")}
+    apart = (values["one"] > 0.5) == (values["other"] > 0.5)
+    table = make_table(values, tdc=make_runs(apart), asmc=make_runs([True] * 500))
+    every, pairs = sensitivities(table, seed=0)
+    found = {(item.name, item.controller): item for item in every.itertuples()}
+    for name in ("one", "other"):
+        assert found[name, "tdc"].share < 0.05
+        assert found[name, "tdc"].interacts
+        assert 0.6 < found[name, "tdc"].total < 1.1
+    assert not found["third", "tdc"].interacts
+    assert found["third", "tdc"].total == found["third", "tdc"].share
+    assert not any(found[name, "asmc"].interacts for name in values)
+    assert set(most_influential(every)[:2]) == {"one", "other"}
+    (pair,) = pairs.itertuples()
+    assert (pair.controller, {pair.first, pair.second}) == ("tdc", {"one", "other"})
 
 
 @pytest.mark.smoke
