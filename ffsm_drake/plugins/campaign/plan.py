@@ -27,6 +27,7 @@ from ffsm_drake.runs.engine import DRAKE
 
 _SHOWN = 5
 _WINDOW = 1000  # runs over which memory is averaged
+_NUMBER = re.compile(r"[-+]?\d[\d.]*(e[-+]?\d+)?|\b(nan|inf)\b")
 _IMPORTS = 10.0  # s, many times what a first run takes to load modules
 
 
@@ -162,7 +163,7 @@ def _errors(store: Store) -> list[str]:
     causes = dict[str, list[str]]()
     select = "SELECT message FROM results WHERE outcome = 'error' ORDER BY case_index"
     for (message,) in store.query(select):
-        causes.setdefault(re.sub(r"[-\d.]+", "", message), []).append(message)
+        causes.setdefault(_NUMBER.sub("", message), []).append(message)
     ranked = sorted(causes.values(), key=len, reverse=True)[:_SHOWN]
     lines = [f"error in {counted(len(each), 'run')}, such as: {each[0]}" for each in ranked]
     return ["", *lines] if lines else []

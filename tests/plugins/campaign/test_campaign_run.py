@@ -586,6 +586,10 @@ def test_errors_are_counted_by_cause_and_only_errors_are_no_success(tmp_path):
     failed = invoke("resume", path, "--workers", 1)
     assert failed.exit_code == 2
     assert "\nerror in 2 runs, such as: late\n" in failed.stdout
+    for case, value in enumerate(("0.25", "-3", "1.5e-07", "nan")):
+        said = f"late by {value} s of joint"
+        sql(path, f"UPDATE results SET message = '{said}' WHERE case_index = {case}")
+    assert "\nerror in 4 runs, such as: late by 0.25 s of joint\n" in invoke("status", path).stdout
     assert failed.stderr.splitlines()[-1].startswith(f"error: {path}: every run ended in an error")
     assert "Next:" not in failed.stdout
 
