@@ -6,6 +6,7 @@ from typing import Any
 
 from ffsm_drake.common.errors import FfsmError, one_line
 from ffsm_drake.mission import Mission
+from ffsm_drake.runs.ending import INTERRUPTED
 from ffsm_drake.runs.engine import DRAKE, Engine, find_engine, on_drake
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import make_rollout
@@ -80,6 +81,8 @@ def _on_drake(kept: "Kept", mission: Mission) -> RunLog | Exception:
     except _FAILURES as error:
         kept.drop(mission.scenario.controller)
         return error if isinstance(error, Exception) else FfsmError(one_line(error))
+    if log.outcome.status == INTERRUPTED:
+        raise KeyboardInterrupt
     return log
 
 

@@ -143,18 +143,15 @@ def prepare(
         mission = _checked(scenario)
         if "reference" not in (blocks or {}) and mission.scenario.blocks.reference is None:
             mission = timed(mission)
-        if check_stability and (judge := JUDGES.first()) is not None:
+        judge = JUDGES.first() if check_stability else None
+        if judge is not None:
             for remark in judge.remarks(mission):
                 warnings.warn(remark, LimitWarning, stacklevel=3)
         # before the verdict, which takes longer: what is refused shows at once
         with step("building the loop"):
             rollout = make_rollout(mission, blocks=blocks, meshcat=meshcat)
         try:
-            if (
-                check_stability
-                and not user_supplied(mission.scenario, blocks)
-                and (judge := JUDGES.first()) is not None
-            ):
+            if judge is not None and not user_supplied(mission.scenario, blocks):
                 rollout.check()
                 for remark in judge.warnings(mission):
                     warnings.warn(remark, StabilityWarning, stacklevel=3)

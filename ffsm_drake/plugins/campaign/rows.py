@@ -212,7 +212,7 @@ Row = dict[str, Any]
 def evaluate_run(spec: Spec, log: RunLog) -> Row:
     """Outcome and metrics of a run."""
     if log.outcome.status == "interrupted":
-        raise RuntimeError("the run was interrupted")
+        raise KeyboardInterrupt
     run, outcome, message = Judged(spec, log), log.outcome.status, log.outcome.message
     if log.outcome.completed:
         outcome, message = "settled", ""

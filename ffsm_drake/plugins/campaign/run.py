@@ -329,8 +329,6 @@ def repeat_run(store: Store, case: Case, controller: str) -> Repeated:
         if isinstance(found, Exception):
             raise found
         log = found
-        if log.outcome.status == "interrupted":
-            raise KeyboardInterrupt
         repeated = evaluate_run(store.spec, log)
     except (Exception, TimeLimit) as error:
         log = getattr(error, "log", None)  # up to where user-supplied code failed

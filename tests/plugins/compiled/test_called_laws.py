@@ -4,6 +4,7 @@ import dataclasses
 import signal
 import sys
 import time
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -52,9 +53,11 @@ class Fails(Switched):
 
 
 class Interrupts(Switched):
+    last: ClassVar = 20  # call
+
     def step(self, sample, state):
         CALLS.append(sample)
-        if len(CALLS) == 20:
+        if len(CALLS) == self.last:
             signal.raise_signal(signal.SIGINT)
         return super().step(sample, state)
 
@@ -115,10 +118,16 @@ def test_a_law_that_fails_in_one_run_leaves_the_others(monkeypatch):
     assert str(failed) == str(expected)
 
 
-def test_an_interrupt_ends_all_runs_at_once(monkeypatch):
+@pytest.mark.parametrize(
+    ("engine", "last"),
+    [("compiled", 20), pytest.param("compiled", 80, id="comparison with Drake"), ("drake", 20)],
+)
+def test_an_interrupt_ends_all_runs_at_once(engine, last, monkeypatch):
+    """The three compiled runs call the law 63 times."""
+    monkeypatch.setattr(Interrupts, "last", last)
     with pytest.raises(KeyboardInterrupt):
-        simulate_many(runs_of(Interrupts, monkeypatch), engine="compiled")
-    assert len(CALLS) == 20
+        simulate_many(runs_of(Interrupts, monkeypatch), engine=engine)
+    assert len(CALLS) == last
 
 
 @pytest.mark.slow
