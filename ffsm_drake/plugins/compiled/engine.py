@@ -21,6 +21,7 @@ from ffsm_drake.plugins.compiled.run import Run, run_of
 from ffsm_drake.plugins.compiled.schemes import SCHEMES
 from ffsm_drake.plugins.equations.comparison import held_to_drake
 from ffsm_drake.runs.batches import all_but_controller
+from ffsm_drake.runs.ending import INTERRUPTED
 from ffsm_drake.runs.engine import Engine, NotCovered
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import make_rollout
@@ -182,8 +183,7 @@ def _kernel_of(runs: Sequence[Run], *, alone: bool) -> Kernel:
     made = _kernels[key]
     _kernels.move_to_end(key)
     if len(_kernels) > _KEPT:
-        oldest, _ = _kernels.popitem(last=False)
-        _judged.discard(oldest)
+        _kernels.popitem(last=False)
     if isinstance(made, NotCovered):
         raise made
     return made
@@ -238,7 +238,7 @@ def _try_calls(kernel: Kernel, runs: Sequence[Run]) -> None:
 
 def _judge(lane: Lane, log: RunLog, nudged: Callable[[], RunLog | None]) -> bool:
     """Compare a log with Drake's. False: the run ends in another way there. Raises NotCovered: they
-    differ by more than rounding.
+    differ by more than rounding; KeyboardInterrupt: Drake's run was interrupted.
 
     Args: the run; its log; what runs it with other last bits.
     """
@@ -248,6 +248,8 @@ def _judge(lane: Lane, log: RunLog, nudged: Callable[[], RunLog | None]) -> bool
         expected = rollout.run(mission)
     finally:
         rollout.release()
+    if expected.outcome.status == INTERRUPTED:
+        raise KeyboardInterrupt
     if (expected.outcome.status, expected.time.size) != (log.outcome.status, log.time.size):
         return False
     own = getattr(run.law, "logged", ())

@@ -2,6 +2,7 @@
 
 import copy
 import functools
+import itertools
 from collections.abc import Hashable
 
 import numpy as np
@@ -14,11 +15,13 @@ from ffsm_drake.plugins.compiled.parameters import parameters_of, rows_of
 from ffsm_drake.plugins.compiled.parts import row
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import MassProperties
-from ffsm_drake.systems.controllers import SampledController, make_controller
+from ffsm_drake.systems.controllers import (
+    SampledController,
+    controller_names,
+    make_controller,
+)
 from ffsm_drake.systems.controllers.law import is_shipped
 from ffsm_drake.systems.registry import Factory
-
-_PHASES = "phases."
 
 
 class Run:
@@ -119,19 +122,19 @@ class Run:
     @property
     def key_on_disk(self) -> str | None:
         """What the code is made from, besides this package; None for a user's law or block."""
-        own = self.blocks.called or is_shipped(self.law)
-        own = own and all(name.startswith(_PHASES) for name in self.scenario.blocks.choices())
+        parts = itertools.chain(*(blocks.values() for blocks in self.case.parts))
+        own = (self.blocks.called or is_shipped(self.law)) and all(map(is_shipped, parts))
         return repr(self.code) if own else None
 
 
 def run_of(case: Case, mission: Mission) -> Run:
     """Return the run of a case with the controller of a mission; one with a law of this package is
-    kept. Raises what ``Run`` raises.
+    kept, unless a file or a user's function makes the law. Raises what ``Run`` raises.
     """
     name = mission.scenario.controller
     if isinstance(found := case.runs.get(name), Run):
         return found
     made = Run(mission, case)
-    if is_shipped(made.law):
+    if name in controller_names() and is_shipped(made.law):
         case.runs[name] = made
     return made

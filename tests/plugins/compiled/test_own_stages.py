@@ -1,14 +1,20 @@
 """Users' stages of sensing in compiled runs."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 import pytest
 from compared_runs import check
+from near_captures import SHORT
 from own_stage import Mean, Pull
 
-from ffsm_drake import load_scenario, simulate_many
+from ffsm_drake import Phase, load_scenario, simulate_many
+from ffsm_drake.mission import make_mission
+from ffsm_drake.plugins.compiled.missions import Lane
+from ffsm_drake.plugins.compiled.run import Run
+from ffsm_drake.systems.reference import timed
 
 
 def scenarios(system, given=()):
@@ -111,6 +117,33 @@ class Unknown(_Hostile):
 class Converts(_Hostile):
     def step(self, inputs, memory, now):
         return {"estimated_state": np.array(inputs["state"], dtype=float)}, memory
+
+
+def pulled(setup):
+    """A phase with a force."""
+    return Phase(blocks={"forces.own": Pull})
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "kept"),
+    [
+        ("postcapture", ["blocks.sensing.own.system=own_stage:Mean"], False),
+        ("postcapture", ["blocks.forces.own.system=own_stage:Pull"], False),
+        ("tumbling_capture", ["blocks.phases.own.system=test_own_stages:pulled"], False),
+        ("tumbling_capture", ["blocks.phases.own.system=own_phases:wait"], True),
+        ("flight_sensors", [], True),
+    ],
+)
+def test_only_code_of_shipped_blocks_is_kept_on_disk(name, given, kept):
+    """A user's block may change without another name."""
+    if name == "tumbling_capture":
+        folder = Path(__file__).parents[1] / "capture"
+        given = [*SHORT, *given, "blocks.phases.own.duration=1", "duration=7"]
+        given += [f"python_path=[{folder}]"]
+    mission = timed(make_mission(load_scenario(name, given)))
+    lane = Lane(mission, None if mission.scenario.grasps else Run(mission))
+    assert lane.plan()
+    assert (lane.run.key_on_disk is not None) == kept
 
 
 HOSTILE = (Branch, Random, Counts, Unknown, Converts)

@@ -16,6 +16,7 @@ from ffsm_drake.plugins.compiled.noise import noise_of
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.spacecraft.craft import make_nominal_plant
+from ffsm_drake.systems.controllers.laws.pd_plus import PdPlus
 from ffsm_drake.systems.sensing.errors import SensorErrors
 
 
@@ -187,6 +188,41 @@ def test_a_run_with_more_does_not_share_the_code_of_one_without(given):
     one, other = simulate_many([plain, more], engine="compiled", keep_errors=True)
     assert one.engine == "compiled"
     assert isinstance(other, FfsmError) or other.engine.startswith("drake (not covered: ")
+
+
+GAIN = [1.0]
+
+
+def scaled(setup):
+    """A law of the package, with gains that change."""
+    law = PdPlus.from_setup(setup)
+    return dataclasses.replace(law, k_p=GAIN[0] * law.k_p)
+
+
+def test_a_law_of_a_users_function_is_made_for_each_run():
+    scenario = load_scenario("postcapture", ["duration=0.05", "controller=test_runs:scaled"])
+    for factor in (1.0, 0.5):
+        GAIN[0] = factor
+        check([scenario])
+
+
+@pytest.mark.slow
+def test_results_do_not_depend_on_the_number_of_codes(monkeypatch):
+    """More codes than are kept: those compiled again need no comparison, which reads all signals
+    of a log.
+    """
+    monkeypatch.setattr(engine, "_KEPT", 2)
+    random = np.random.default_rng(0)
+    scenarios = [
+        load_scenario("postcapture", ["duration=0.05", f"controller={law}", f"random_seed={k}"])
+        for k, law in enumerate(random.permutation(LAWS)[:4].tolist())
+    ]
+    missions = [*map(Mission, scenarios)]
+    for _ in range(3):
+        for _, log in run_many(missions, engine="compiled", signals=("state",)):
+            assert log.engine == "compiled"
+    for _ in range(3):
+        assert all(log.engine == "compiled" for _, log in run_many(missions, engine="compiled"))
 
 
 @pytest.mark.parametrize("seed", range(2))
