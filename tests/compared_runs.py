@@ -22,6 +22,8 @@ def check(scenarios, *, called=False):
         name, how, _ = record.engine.partition(" (law called: ")
         assert (name, bool(how)) == (engine, called and completed)
         assert set(record.dataset.variables) == set(other.dataset.variables)
+        for name in other.dataset.coords:
+            assert record.dataset[name].values.tolist() == other.dataset[name].values.tolist()
         for name, values in other.dataset.data_vars.items():
             if values.dtype == float:
                 bound = SAME.get(name, OTHERS) * max(1.0, float(np.abs(values).max()))

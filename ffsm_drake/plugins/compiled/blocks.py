@@ -83,7 +83,7 @@ class Placed(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Structure:
-    """What the code depends on besides the blocks."""
+    """What the code depends on in addition to the blocks."""
 
     tree: Tree  # of the spacecraft
     # entries of the plant's [q; v] that are known, and of hidden coordinates; of its v, known ones

@@ -194,17 +194,14 @@ def _compiled(run: Run, *, alone: bool) -> Kernel:
     held_to_drake(run.blocks.tree, plant=run.case.true.plant)
     rollout = Rollout(run.mission, blocks=run.given, grip=run.case.nominal.grip)
     try:
-        parts = rollout.loop.parts
         blocks = set(rollout.loop.blocks) - run.case.made.built
         blocks -= set() if run.case.made.watch is None else {"supervisor"}
-        others = (blocks - BLOCKS) | (set(parts) - _PARTS - run.case.made.built)
+        others = (blocks - BLOCKS) | (set(rollout.loop.parts) - _PARTS - run.case.made.built)
     finally:
         rollout.release()
     if others:
         raise NotCovered(", ".join(sorted(others)))
-    kernel = _kernel(run, alone=alone)
-    kernel.parts = parts
-    return kernel
+    return _kernel(run, alone=alone)
 
 
 def _kernel(run: Run, *, alone: bool) -> Kernel:

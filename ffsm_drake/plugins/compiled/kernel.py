@@ -1,8 +1,9 @@
 """One function of machine code that runs simulations, as many at once as a register holds.
 
-All numbers of its runs stand in one array of cells, each a register wide. At every control sample
-it reads rows of each run (reference, noise) and writes rows of its signals. Its last sample changes
-no state, so that a further call can go on with it: a *leg* of a run is a call.
+All numbers of its runs stand in one array (size, width): the cells (``Blocks``) one after another,
+with a number of each run in a register. At every control sample it reads rows of each run
+(reference, noise) and writes rows of its signals. Its last sample changes no state, so that a
+further call can go on with it: a *leg* of a run is a call.
 """
 
 import ctypes
@@ -19,7 +20,6 @@ from ffsm_drake.plugins.compiled.plans import Plans
 from ffsm_drake.plugins.compiled.registers import Registers
 from ffsm_drake.plugins.tape.numbers import NotTraceable
 from ffsm_drake.runs.engine import NotCovered
-from ffsm_drake.systems.parts.placed import Parts
 
 # rows that runs may share, and that a supervisor's plan changes
 _SHARED = {"reference", "frame", "phases", "request"}
@@ -59,7 +59,6 @@ class Kernel:
         lanes = Registers(1) if alone else registers()
         self.blocks, self.width = blocks, lanes.width
         self._sizes = blocks.parameters | blocks.states
-        self.parts: Parts = {}  # whose signals follow from the log
         text = RunsText(blocks, lanes, steps=steps)
         self.places, self.size, self.read = text.places, text.size, text.read
         self._code = text.code(f"runs of {self.width}", key)

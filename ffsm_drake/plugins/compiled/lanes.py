@@ -141,7 +141,7 @@ class Lanes:
         outcome = Outcome(status=COMPLETED, time=end, message=f"completed {end:g} s")
         if diverged:
             outcome = self._divergence(lane)
-        return log_of(run, series, outcome, time, self._kernel.parts)
+        return log_of(run, series, outcome, time, case)
 
     def _divergence(self, lane: int) -> Outcome:
         time = float(self.cell("seen_at")[lane])

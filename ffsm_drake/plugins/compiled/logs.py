@@ -10,7 +10,6 @@ from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.run import Run
 from ffsm_drake.runs.ending import Outcome
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.systems.parts.placed import Parts
 
 COMPILED = "compiled"  # name of the engine
 
@@ -38,16 +37,16 @@ def engine_of(run: Run) -> str:
 
 
 def log_of(
-    run: Run, series: Mapping[str, np.ndarray], outcome: Outcome, time: np.ndarray, parts: Parts
+    run: Run, series: Mapping[str, np.ndarray], outcome: Outcome, time: np.ndarray, case: Case
 ) -> RunLog:
-    """The log of a run, or of one with another seed."""
+    """The log of a run, or of one with another seed, which has the ``case``."""
     return RunLog(
         mission=run.mission,
         outcome=outcome,
         tracks_frame=run.law.tracks_frame,
         sliding_unit=str(run.law.sliding_unit),
         engine=engine_of(run),
-        parts=parts,
+        parts=case.made.placed,
         time=time,
         series=series,
         wall_time={},

@@ -131,7 +131,7 @@ class Lane:
         """Call the law, which is not traced for this reason."""
         self._stage.run = self.run.with_called_law(why)
 
-    def note(self, kernel: Kernel, end: LaneEnd, spent: Mapping[str, float]) -> None:
+    def note(self, end: LaneEnd, spent: Mapping[str, float]) -> None:
         """End the present phase. Args: the time spent to prepare and to run, s."""
         run, first, count = self.run, self.begin.sample, len(end.log["state"])
         rows = slice(first, first + count)
@@ -140,7 +140,7 @@ class Lane:
         found = {name: planned[name][rows] for name in needed}
         until = float(time_of[-1])
         outcome = Outcome(status=COMPLETED, time=until, message=f"completed {until:g} s")
-        log = log_of(run, {**found, **end.log}, outcome, time_of, kernel.parts)
+        log = log_of(run, {**found, **end.log}, outcome, time_of, run.case)
         spent = {**spent, "build": spent["build"] + self._build_time}
         self.steps.append((type(self.kind), run.key))
         self._stage.leave(end)
@@ -211,5 +211,5 @@ def _ended(kernel: Kernel, lanes: Sequence[Lane]) -> list[Lane]:
     spent = {"build": began - start, "advance_to": time.perf_counter() - began}
     found = [(lane, end) for lane, end in zip(lanes, ends, strict=True) if end.left is None]
     for lane, end in found:
-        lane.note(kernel, end, spent)
+        lane.note(end, spent)
     return [lane for lane, _ in found]

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from ffsm_drake.common.guard import calling
 from ffsm_drake.common.registrations import Registry
 from ffsm_drake.loop.blocks import DISTURBANCE, factory_of
 from ffsm_drake.plugins.compiled.followed_reference import FollowedReference
@@ -11,10 +12,11 @@ from ffsm_drake.plugins.compiled.parts import Block, Parts, frozen
 from ffsm_drake.plugins.compiled.supervising import Supervised, Supervisor
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import Block as Choice
-from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario import Scenario, kind_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.parts.part import Part
+from ffsm_drake.systems.parts.placed import PlacedPart
 from ffsm_drake.systems.registry import Factory, call_factory, section_parts
 from ffsm_drake.systems.sampled import Sampled
 from ffsm_drake.systems.sensing.block import measurement_of
@@ -61,6 +63,34 @@ class ScenarioBlocks:
                 {"supervisor": self.watch} if isinstance(self.watch, Sampled) else {}
             ),
         )
+        self.placed = self._placed()
+
+    def _placed(self) -> dict[str, PlacedPart]:
+        """The parts of the loop by name, with the settings and signals of this scenario; see
+        ``make_blocks``.
+        """
+        scenario = self._plain.scenario
+        choices, found = scenario.blocks.choices(), dict[str, PlacedPart]()
+        own = section_parts(scenario, self._given, grip=self._plain.nominal.grip)
+        others = {*choices, *self._given} & {*self.built, "supervisor"} - {*own}
+        for name in (*own, *sorted(others)):
+            is_own = name in own
+            part = own[name] if is_own else factory_of(name, scenario, self._given.get(name))
+            if not isinstance(part, Part):
+                continue
+            settings = choices.get(name, Choice()).settings
+            setup = self._setup(name if is_own else name.rpartition(".")[2], settings)
+            place = f"blocks.{name} '{type(part).__name__}'"
+            signals = calling(place, lambda part=part, setup=setup: tuple(part.signals(setup)))
+            constants = calling(place, lambda part=part, setup=setup: tuple(part.constants(setup)))
+            if kind_of(name) == "sensing":
+                signals = tuple(dataclasses.replace(each, held=True) for each in signals)
+            if signals or not is_own:
+                block = name if name in self.built else kind_of(name)
+                found[name] = PlacedPart(
+                    name=name, block=block, part=part, signals=signals, constants=constants
+                )
+        return found
 
     def recorded(self, scenario: Scenario) -> tuple[str, ...]:
         """Signals of the actuators and forces of a scenario."""

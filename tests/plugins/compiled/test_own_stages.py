@@ -10,7 +10,7 @@ from compared_runs import check
 from near_captures import SHORT
 from own_stage import Mean, Pull
 
-from ffsm_drake import Phase, load_scenario, simulate_many
+from ffsm_drake import Metric, Part, Phase, Signal, load_scenario, setting, simulate_many
 from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.compiled.missions import Lane
 from ffsm_drake.plugins.compiled.run import Run
@@ -117,6 +117,41 @@ class Unknown(_Hostile):
 class Converts(_Hostile):
     def step(self, inputs, memory, now):
         return {"estimated_state": np.array(inputs["state"], dtype=float)}, memory
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured(Part):
+    """``Pull`` with a signal and a metric, which need more of the settings than its force."""
+
+    share: float = setting(1.0, "1", "share of the force that is shown")
+
+    def signals(self, setup):
+        def shown(run):
+            return self.share * run["force_own"][:, :1]
+
+        about = {"name": "shown", "unit": "N m", "meaning": "share of the torque"}
+        return (Signal(**about, components=[f"x{self.share}"], of=shown),)
+
+    def metrics(self):
+        return (Metric(key="own.share", unit="1", of=lambda run: self.share),)
+
+    def flow(self, setup):
+        return Pull.from_setup(setup)
+
+    def build(self, setup):
+        return self.flow(setup)
+
+
+@pytest.mark.slow
+def test_runs_with_one_code_have_parts_of_their_own():
+    """Settings of a user's part, and sensors that faults draw, which their signals name."""
+    block = "blocks.forces.own={{system: 'test_own_stages:Measured', settings: {}}}"
+    lost = "faults.events.a={unit: sensing, kind: dropout, time: 0.05, size: 0.5}"
+    for each in (
+        [[block.format(f"{{share: {share}}}")] for share in (0.5, 2.0)],
+        [[lost, f"random_seed={seed}"] for seed in range(4)],
+    ):
+        check([load_scenario("postcapture", ["duration=0.2", *given]) for given in each])
 
 
 def pulled(setup):
