@@ -104,9 +104,8 @@ def _contents_of(scenario: Scenario) -> tuple[Hashable, Hashable, Hashable]:
     """Return what the craft of a scenario depends on, what its plans do, and all of it."""
     of_craft = content_of([getattr(scenario, name) for name in _OF_CRAFT])
     # own phases may read any setting
-    whole = planned_part(scenario, with_target=True)
-    of_plan = content_of(scenario if scenario.blocks.phases else whole)
-    return of_craft, of_plan, content_of(scenario)
+    part = scenario if scenario.blocks.phases else planned_part(scenario, with_target=True)
+    return of_craft, content_of(part), content_of(scenario)
 
 
 def kept(function: Of[P, R]) -> Of[P, R]:
