@@ -1,11 +1,14 @@
 """The tables of the evidence pages cover what they are about: every figure of the models has a
-source or is called assumed, and every requirement names tests that exist, or none.
+source or is called assumed, every claim has a command and a date, and every requirement names tests
+that exist, or is a known issue.
 """
 
 import ast
 import functools
 import importlib.util
+import itertools
 import re
+import shlex
 from collections import Counter
 from pathlib import Path
 
@@ -15,6 +18,7 @@ import yaml
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
+from ffsm_drake.cli import main
 from ffsm_drake.scenario import shipped_scenarios
 
 ROOT = Path(__file__).parents[1]
@@ -119,6 +123,16 @@ def test_a_figure_without_a_source_is_assumed():
         assert row.kind == "assumed" or row.source != "none", row
 
 
+def test_a_figure_of_the_campaigns_is_varied_in_one():
+    files = (ROOT / "benchmarks" / "assumed_inputs").glob("*.yaml")
+    specs = [yaml.safe_load(path.read_text()) for path in files]
+    keys = {key: None for spec in specs for key in [*spec["parameters"], *spec["derive"]]}
+    rows = [row for row in tables.setting_rows() if "#which-assumed-figures-decide" in row.spread]
+    assert rows
+    for row in rows:
+        assert tables.matching(row.what.strip("`"), keys), row
+
+
 def test_the_mass_of_a_payload_is_that_of_its_model():
     """Where a scenario repeats figures of a URDF."""
     for scenario, file, name in (
@@ -155,12 +169,18 @@ def test_requirements_name_pages_and_tests_that_exist():
             assert function in functions_in(ROOT / file), f"{name}: {test}"
 
 
-def test_a_requirement_without_a_test_is_shown_as_such():
+def test_a_requirement_without_a_test_is_a_known_issue():
     shown = tables.requirement_table()
     untested = [name for name, (_, _, *tests) in tables.requirements().items() if not tests]
-    assert untested
     for line in shown.splitlines()[2:]:
         assert ("**no test**" in line) == (line.split("[")[1].split("]")[0] in untested)
+    text = (DOCS / "known_issues.md").read_text()
+    assert set(re.findall(r"R-[A-Z]+-\d+", text)) == set(untested)
+
+
+def test_an_assumed_figure_says_how_far_it_was_varied():
+    for row in [*tables.mass_rows(), *tables.setting_rows()]:
+        assert row.kind != "assumed" or row.spread not in ("none given", "not quantified"), row
 
 
 @pytest.mark.parametrize("page", ["parameters", "requirements"])
@@ -173,14 +193,74 @@ def test_tables_are_on_their_pages(page):
     assert widths == {6}
 
 
-def test_claims_without_a_command_are_counted():
+PAGES = sorted((DOCS / "validation").glob("*.md"))
+SAME = re.compile(r"(the )?same\b")
+
+
+def test_claims_are_the_rows_of_their_tables():
     head = "| claim | command | date |\n|---|---|---|\n"
-    text = head + "| a | not recorded | x |\n| b \\| c | `pytest` | x |\n\n| a | not recorded |\n"
-    assert tables.claims(text) == ["not recorded", "`pytest`"]
-    unknown, every = map(int, tables.unrecorded_claims().split(" of "))
-    assert 0 <= unknown < every / 4
-    assert every > 200
-    assert tables.unrecorded_claims() in tables.with_tables((DOCS / "credibility.md").read_text())
+    text = head + "| a | `x \\| y` | 1 |\n| b \\| c | `pytest` | 2 |\n\n| a | no claim |\n"
+    assert tables.claims(text) == [("a", "`x \\| y`", "1"), ("b \\| c", "`pytest`", "2")]
+    assert tables.claims("| claim: how many | date |\n|---|---|\n| a | 2 |") == [("a", "", "2")]
+    assert int(tables.number_of_claims()) > 200
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_every_claim_has_a_command_and_a_date(page):
+    text = page.read_text()
+    assert "not recorded" not in text
+    before = ""
+    for claim in tables.claims(text):
+        assert re.match(r"\d{4}-\d\d-\d\d", claim.date), claim
+        assert claim.command, claim
+        assert before or not SAME.match(claim.command), claim
+        before = claim.command
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_rows_have_the_cells_of_their_table(page):
+    width = 0
+    for line in page.read_text().splitlines():
+        cells = re.split(r"(?<!\\)\|", re.sub(r"`[^`]*`", "", line))
+        if not line.startswith("|"):
+            width = 0
+        else:
+            assert width in (0, len(cells)), line
+            width = len(cells)
+
+
+def commands_of(page):
+    """The commands between backquotes on a page, as words without variables."""
+    for line in page.read_text().splitlines():
+        for text in re.findall(r"`((?:[A-Z_]+=\S+ )*(?:pytest|python|ffsm) [^`]+)`", line):
+            words = shlex.split(text)
+            yield list(itertools.dropwhile(lambda word: re.match(r"[A-Z_]+=", word), words))
+
+
+@functools.cache
+def names_in(path):
+    """The names of the tests below a path, and of what draws their cases."""
+    files = [path] if path.is_file() else sorted(path.rglob("*.py"))
+    texts = [file.name + file.read_text() for file in files]
+    if path.is_file():
+        texts += [found.read_text() for found in path.parent.glob("*drawn*.py")]
+    return "\n".join(texts)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_commands_of_claims_name_what_exists(page):
+    """Test files and the words that choose among their tests, scripts, and commands of ffsm."""
+    for program, *words in commands_of(page):
+        text = " ".join([program, *words])
+        if program == "ffsm":
+            assert words[0] in main.list_commands(None), text
+        for word in words:
+            if word.startswith(("tests/", "benchmarks/", "docs/", "examples/")):
+                assert (ROOT / word.partition("::")[0]).exists() or "PATH" in word, text
+        paths = [ROOT / word for word in words if word.startswith("tests/") and "::" not in word]
+        for key in [words[i + 1] for i, word in enumerate(words) if word == "-k"]:
+            for part in re.split(r" or ", key):
+                assert any(part in names_in(path) for path in paths), f"{text}: {part}"
 
 
 FACTOR = re.compile(r"^\| \[([^]]+)\]\(#([\w-]+)\) \| (\d) \| (.+) \|$", re.MULTILINE)
