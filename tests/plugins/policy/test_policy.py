@@ -16,6 +16,8 @@ from ffsm_drake.systems.registry import find_factory
 onnx = pytest.importorskip("onnx", reason="needs onnx, of the extra test")
 pytest.importorskip("onnxruntime", reason="needs onnxruntime, an extra")
 
+from c_code import needs_llvm  # noqa: E402
+from entry_points import needs  # noqa: E402
 from networks import linear_policy, metadata_of, network  # noqa: E402
 
 from ffsm_drake.mission import Mission, make_mission  # noqa: E402
@@ -89,6 +91,24 @@ def test_the_record_of_a_policy_can_be_repeated(pd, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     again = simulate(run.scenario, check_stability=False)
     np.testing.assert_array_equal(again.dataset.position.values, run.dataset.position.values)
+
+
+@pytest.mark.parametrize(
+    "engine", ["drake", pytest.param("compiled", marks=[needs_llvm, needs("compiled")])]
+)
+def test_a_policy_that_is_saved_again_is_read_again(engine, tmp_path, coordinates):
+    scenario, size = flown(tmp_path, "duration=0.1"), len(coordinates.names)
+    metadata = metadata_of(scenario.replace(controller="tdc"), coordinates)
+    forces = list[np.ndarray]()
+    for factor in (1.0, -0.5, 0.25):
+        weights = np.zeros((size, 4 * size + 1))
+        weights[:, 2 * size] = 1e-4 * factor  # of the quaternion's first number, 1 at the start
+        save_policy(tmp_path / "pd.onnx", weights, metadata)
+        run = simulate(scenario, engine=engine, check_stability=False)
+        assert run.engine.startswith(engine)
+        forces.append(run.dataset["generalized_force"].values[0])
+        np.testing.assert_allclose(forces[-1], factor * forces[0], rtol=1e-5)
+    assert forces[0].any()
 
 
 @pytest.mark.parametrize(
