@@ -20,12 +20,16 @@ from ffsm_drake.plugins.campaign.command import campaign_progress, processors, w
 
 if TYPE_CHECKING:
     from ffsm_drake.common.errors import InterruptedCampaign
-    from ffsm_drake.plugins.benchmark.missions import BenchmarkMission, Board
+    from ffsm_drake.plugins.benchmark.boards import Board, Comparison, Place, Reproduced
 
 
 @click.command()
 @click.argument("missions", nargs=-1, metavar="[MISSION]...")
 @controller_option(multiple=True, help="A law, or module:Class; repeatable. Default: every law.")
+@click.option("--seeds", type=click.IntRange(min=1, max=1000), default=20, show_default=True,
+              help="Runs of each law on each mission.")  # fmt: skip
+@click.option("--margins", is_flag=True, help="Also compute margins, the distance to LQG, and the "
+              "processor time of each law.")  # fmt: skip
 @click.option("--check", is_flag=True, help="Check only published values; exit with 3 if one is "
               "not reproduced.")  # fmt: skip
 @workers_option
@@ -35,91 +39,117 @@ if TYPE_CHECKING:
 def benchmark(
     missions: tuple[str, ...],
     controller: tuple[str, ...],
+    seeds: int,
+    margins: bool,
     check: bool,
     workers: int | None,
     out: Path | None,
     table: Path | None,
     as_json: bool,
 ) -> None:
-    """Rank control laws on published missions, with three seeds each, next to lower bounds.
+    """Compare control laws on missions, with the same seeds for every law.
 
-    MISSION is a name or a scenario file (default: every mission). Writes benchmark.html and
-    benchmark.json. Ctrl-C stops after the current runs, and the table shows the missing ones;
-    the same command continues. Laws that ran before stay in the table.
+    MISSION is a name or a scenario file (default: the six missions of the comparison). Writes
+    benchmark.html, comparison.md, comparison.png and benchmark.json. Ctrl-C stops after the current
+    runs, and the table shows the missing ones; the same command continues. Laws that ran before
+    stay in the table.
 
     \b
     Examples:
       ffsm benchmark
       ffsm benchmark paper -c tde_aismc -c my_module:MyLaw
+      ffsm benchmark postcapture --margins
       ffsm benchmark --check
       ffsm benchmark paper --table out/paper.tex
     """
-    from ffsm_drake.common.files import check_writable, write_text
-    from ffsm_drake.plugins.benchmark.missions import check_mission, load_mission, mission_names
-    from ffsm_drake.plugins.benchmark.page import (
-        benchmark_data,
-        benchmark_page,
-        board_columns,
-        board_text,
-        checks_table,
-    )
-    from ffsm_drake.runs.record import to_json
-    from ffsm_drake.show.table_files import write_table
+    from ffsm_drake.common.files import check_writable
+    from ffsm_drake.plugins.benchmark import missions as known
+    from ffsm_drake.plugins.benchmark.boards import Place, check_mission, comparison
+    from ffsm_drake.plugins.benchmark.comparison import comparison_text
+    from ffsm_drake.plugins.benchmark.page import benchmark_data, board_text, checks_table
     from ffsm_drake.show.tables import aligned
 
     folder = out or Path("out/benchmark")
     check_writable(folder)
     if table is not None:
         check_writable(table.parent)
-    loaded = [load_mission(name) for name in missions or mission_names()]
+    default = known.mission_names() if check else known.compared_missions()
+    loaded = [known.load_mission(name) for name in missions or default]
     if check:
         loaded = [mission for mission in loaded if mission.checks]
+    places = [Place(mission=each, folder=folder / "runs", seeds=seeds) for each in loaded]
 
     def told(board: "Board") -> None:
         if not as_json:
             click.echo(f"{board_text(board)}\n")
 
-    laws = [(mission, mission.checked_laws if check else controller) for mission in loaded]
-    boards, interrupted = _run(laws, folder / "runs", workers or processors(), told)
+    laws = [(place, place.mission.checked_laws if check else controller) for place in places]
+    boards, interrupted = _run(laws, workers or processors(), told, margins=margins)
     checks = [each for board in boards for each in check_mission(board)] if not controller else []
-    data, published = benchmark_data(boards, checks), checks_table(checks)
-    write_text(folder / "benchmark.json", to_json(data))
-    write_text(folder / "benchmark.html", benchmark_page(boards, checks))
-    if table is not None:
-        write_table(board_columns(boards), table)
-    print_result(as_json, data, "\n".join(aligned(published)) if checks else "")
-    click.echo(f"Written to {folder}: benchmark.html, benchmark.json", err=as_json)
+    found = comparison(boards)
+    data = benchmark_data(boards, checks, found)
+    _write(folder, boards, checks, found, table)
+    texts = [comparison_text(boards, found)] if found else []
+    texts += ["\n".join(aligned(checks_table(checks)))] if checks else []
+    print_result(as_json, data, "\n\n".join(texts))
+    names = "benchmark.html, comparison.md, comparison.png, benchmark.json"
+    click.echo(f"Written to {folder}: {names}", err=as_json)
     if interrupted is not None:
         raise interrupted
     sys.exit(EXIT_GOOD if all(each.holds for each in checks) else EXIT_UNSTABLE)
 
 
+def _write(
+    folder: Path,
+    boards: Sequence["Board"],
+    checks: Sequence["Reproduced"],
+    found: "Comparison",
+    table: Path | None,
+) -> None:
+    from ffsm_drake.common.files import write_text
+    from ffsm_drake.plugins.benchmark.comparison import comparison_figure, comparison_markdown
+    from ffsm_drake.plugins.benchmark.page import benchmark_data, benchmark_page, board_columns
+    from ffsm_drake.runs.record import to_json
+    from ffsm_drake.show.figures.axes import save_figure
+    from ffsm_drake.show.table_files import write_table
+
+    write_text(folder / "benchmark.json", to_json(benchmark_data(boards, checks, found)))
+    write_text(folder / "benchmark.html", benchmark_page(boards, checks, found))
+    write_text(folder / "comparison.md", comparison_markdown(boards, found))
+    if found:
+        save_figure(comparison_figure(boards, found), folder / "comparison.png")
+    if table is not None:
+        write_table(board_columns(boards, found), table)
+
+
 def _run(
-    laws: Iterable[tuple["BenchmarkMission", Sequence[str]]],
-    runs: Path,
+    laws: Iterable[tuple["Place", Sequence[str]]],
     workers: int,
     told: Callable[["Board"], None],
+    *,
+    margins: bool,
 ) -> tuple[list["Board"], "InterruptedCampaign | None"]:
     """Run missions with their laws. Return the boards, each of which is told, and what interrupted
     them.
     """
     from ffsm_drake.common.errors import InterruptedCampaign
     from ffsm_drake.common.steps import step
-    from ffsm_drake.plugins.benchmark.missions import board_so_far, run_mission
+    from ffsm_drake.plugins.benchmark.boards import board_so_far, run_mission
     from ffsm_drake.plugins.workers.pool import local_workers, stop_on_signals
 
     boards = list["Board"]()
     interrupted: InterruptedCampaign | None = None
     with stop_on_signals() as stop, local_workers(workers) as crew:
-        for mission, own in laws:
+        for place, own in laws:
+            name = place.mission.name
             try:
                 if interrupted is None:
-                    with step(mission.name), campaign_progress(mission.name) as progress:
+                    with step(name), campaign_progress(name) as progress:
                         board = run_mission(
-                            mission, own, runs, workers=crew, stop=stop, progress=progress
+                            place, own, workers=crew, stop=stop, progress=progress, margins=margins
                         )
             except InterruptedCampaign as error:
                 interrupted = error
-            boards.append(board_so_far(mission, own, runs) if interrupted else board)
+            boards.append(board_so_far(place, own) if interrupted else board)
             told(boards[-1])
     return boards, interrupted

@@ -1,11 +1,14 @@
 """The benchmark's results: a table, plain data, and a page that opens offline."""
 
+import dataclasses
 import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
 from ffsm_drake.common.numbers import number, rounded_up
-from ffsm_drake.plugins.benchmark.missions import Board, Reproduced, Standing
+from ffsm_drake.plugins.benchmark.boards import Board, Comparison, Reproduced, Standing
+from ffsm_drake.plugins.benchmark.comparison import LEGEND, board_rows, not_compiled
+from ffsm_drake.plugins.benchmark.paired import COMPARED, REFERENCE
 from ffsm_drake.show.page import render
 from ffsm_drake.show.table_files import Column
 from ffsm_drake.show.tables import aligned
@@ -39,19 +42,19 @@ def _figures(board: Board, standing: Standing) -> dict[str, float | None]:
     return {**standing.figures, "propellant_over_least": ratio}
 
 
-def _leaderboard(board: Board) -> list[list[str]]:
+def _leaderboard(board: Board, compared: Comparison) -> list[list[str]]:
     """The header and a row for each law; no column without a number."""
-    applied = [(each, _figures(board, each)) for each in board.standings]
-    columns = [name for name in _COLUMNS if any(found[name] is not None for _, found in applied)]
-    rows = [["law", "settled", *(_COLUMNS[name] for name in columns)]]
-    for standing, found in applied:
-        cells = [_cell(name, found[name]) for name in columns]
-        runs = f"{standing.settled} of {len(standing.outcomes)}" if standing.outcomes else ""
-        rows.append([standing.controller, ", ".join(filter(None, (runs, standing.ended))), *cells])
+    rows = board_rows(board, compared)
+    applied = [_figures(board, each) for each in board.standings]
+    for name, heading in _COLUMNS.items():
+        if name not in COMPARED and any(found[name] is not None for found in applied):
+            rows[0].append(heading)
+            for row, found in zip(rows[1:], applied, strict=True):
+                row.append(_cell(name, found[name]))
     return rows
 
 
-def board_columns(boards: Sequence[Board]) -> list[Column]:
+def board_columns(boards: Sequence[Board], compared: Comparison) -> list[Column]:
     """The leaderboards of missions as one table; no column without a number."""
     found = [
         (board.mission.name, each, _figures(board, each))
@@ -66,12 +69,32 @@ def board_columns(boards: Sequence[Board]) -> list[Column]:
     ]
     if any(each.ended for _, each, _ in found):
         columns.append(Column(name="not completed", cells=[each.ended for _, each, _ in found]))
+    columns += _inferred(found, compared)
     for key, heading in _COLUMNS.items():
         scale = 1e6 if key == "law_time" else 1.0
         cells = [_CUT if _is_cut(x := figures[key]) else x and scale * x for _, _, figures in found]
         name, _, unit = heading.rstrip("]").partition(" [")
         if any(cell is not None for cell in cells):
             columns.append(Column(name=name, unit=unit, cells=cells))
+    return columns
+
+
+def _inferred(found: Sequence[tuple[str, Standing, Any]], compared: Comparison) -> list[Column]:
+    """Intervals, ratios to the reference, and p-values with Holm's correction."""
+    columns = []
+    for name in COMPARED:
+        spread = [each.intervals.get(name) for _, each, _ in found]
+        for key, word in (("low", "from"), ("high", "to")):
+            cells = [None if each is None else getattr(each, key) for each in spread]
+            columns.append(Column(name=f"{name.upper()} {word}", cells=cells))
+        ratios = [
+            compared.get((mission, each.controller), {}).get(name) for mission, each, _ in found
+        ]
+        for key, word in (("value", ""), ("low", " from"), ("high", " to")):
+            cells = [None if each is None else getattr(each.value, key) for each in ratios]
+            columns.append(Column(name=f"{name.upper()} ratio{word}", cells=cells))
+        cells = [None if each is None else each.adjusted for each in ratios]
+        columns.append(Column(name=f"{name.upper()} p (Holm)", cells=cells))
     return columns
 
 
@@ -113,7 +136,7 @@ def _bounds(board: Board) -> str:
 def board_text(board: Board) -> str:
     """The leaderboard of a mission as plain text."""
     title = f"{board.mission.name}: {board.mission.scenario.description}"
-    lines = [title, *aligned(_leaderboard(board))]
+    lines = [title, *aligned(_leaderboard(board, {}))]
     lines.append(_bounds(board))
     if board.mission.assumed:
         lines.append(f"assumed: {'; '.join(board.mission.assumed)}")
@@ -134,7 +157,9 @@ def checks_table(checks: Iterable[Reproduced]) -> list[list[str]]:
     return rows
 
 
-def benchmark_data(boards: Sequence[Board], checks: Sequence[Reproduced]) -> dict[str, Any]:
+def benchmark_data(
+    boards: Sequence[Board], checks: Sequence[Reproduced], found: Comparison
+) -> dict[str, Any]:
     """All results as plain data."""
     return {
         "missions": {
@@ -150,6 +175,19 @@ def benchmark_data(boards: Sequence[Board], checks: Sequence[Reproduced]) -> dic
                     each.controller: {
                         "outcomes": list(each.outcomes),
                         **_figures(board, each),
+                        "figures_over": each.over,
+                        "settled_share": each.share and dataclasses.asdict(each.share),
+                        "intervals": {
+                            name: dataclasses.asdict(inside)
+                            for name, inside in each.intervals.items()
+                        },
+                        f"against_{REFERENCE}": {
+                            name: dataclasses.asdict(value) | {"finding": value.finding}
+                            for name, value in found.get(
+                                (board.mission.name, each.controller), {}
+                            ).items()
+                        },
+                        "engines": list(each.engines),
                         "cut": [name for name, value in each.figures.items() if _is_cut(value)],
                         "message": each.message,
                     }
@@ -172,7 +210,7 @@ def benchmark_data(boards: Sequence[Board], checks: Sequence[Reproduced]) -> dic
     }
 
 
-def benchmark_page(boards: Sequence[Board], checks: Sequence[Reproduced]) -> str:
+def benchmark_page(boards: Sequence[Board], checks: Sequence[Reproduced], found: Comparison) -> str:
     """The page, whole."""
     return render(
         "benchmark.html.j2",
@@ -181,13 +219,18 @@ def benchmark_page(boards: Sequence[Board], checks: Sequence[Reproduced]) -> str
             "boards": [
                 {
                     "mission": board.mission,
-                    "table": _leaderboard(board),
+                    "table": _leaderboard(board, found),
                     "notes": [each for each in board.standings if each.message],
                     "bounds": _bounds(board),
                 }
                 for board in boards
             ],
             "checks": checks_table(checks),
+            "legend": LEGEND if found else "",
+            "engines": not_compiled(boards),
+            "seeds": max(
+                (len(law.outcomes) for each in boards for law in each.standings), default=0
+            ),
         },
         package="ffsm_drake.plugins.benchmark",
     )

@@ -16,20 +16,27 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import CampaignError, InterruptedCampaign
+from ffsm_drake.common.numbers import NONE
 from ffsm_drake.mission import make_mission
-from ffsm_drake.plugins.benchmark import missions
+from ffsm_drake.plugins.benchmark import boards
+from ffsm_drake.plugins.benchmark.boards import (
+    Place,
+    Reproduced,
+    board_so_far,
+    check_mission,
+    comparison,
+    run_mission,
+)
+from ffsm_drake.plugins.benchmark.comparison import comparison_figure, comparison_markdown
 from ffsm_drake.plugins.benchmark.law_figures import FIGURES
 from ffsm_drake.plugins.benchmark.missions import (
     BenchmarkMission,
     Published,
-    Reproduced,
-    board_so_far,
     bounds_of,
-    check_mission,
+    compared_missions,
     least_propellant,
     load_mission,
     mission_names,
-    run_mission,
 )
 from ffsm_drake.plugins.benchmark.page import (
     benchmark_data,
@@ -66,8 +73,76 @@ def mission():
 def folder(mission, tmp_path_factory):
     """The runs of two laws. Not to be written to."""
     folder = tmp_path_factory.mktemp("benchmark")
-    run_mission(mission, ["tdc", "asmc"], folder, workers=HERE)
+    run_mission(placed(mission, folder), ["tdc", "asmc"], workers=HERE, margins=True)
     return folder
+
+
+def placed(mission, folder):
+    return Place(mission=mission, folder=folder, seeds=3)
+
+
+def drawn_rows(rng, seeds, *, settle, median, scatter):
+    """Results of a law: ITAE and ISV of some of the seeds are of failed runs, and absurd."""
+    rows = []
+    for k in range(seeds):
+        settled = bool(settle[k])
+        itae, isv = median * np.exp(scatter * rng.normal(size=2))
+        absurd = {} if settled else {"itae": 1e9, "isv": 1e9}
+        outcome = {"outcome": "settled" if settled else "diverged", "message": ""}
+        rows.append({"itae": itae, "isv": isv, "engine": "compiled"} | absurd | outcome)
+    return rows
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_comparison_finds_drawn_differences_and_no_failed_run_enters(seed, mission, tmp_path):
+    """On the page, in Markdown, as CSV and in the figure; laws of equal size are within noise."""
+    rng = np.random.default_rng([64, seed])
+    every = np.ones(20)
+    some = np.arange(20) < rng.integers(8, 12)
+    of_law = {
+        "tde_aismc": drawn_rows(rng, 20, settle=every, median=1.0, scatter=0.05),
+        "better": drawn_rows(rng, 20, settle=every, median=rng.uniform(0.3, 0.7), scatter=0.05),
+        "worse": drawn_rows(rng, 20, settle=some, median=rng.uniform(1.5, 3.0), scatter=0.05),
+        "lost": drawn_rows(rng, 20, settle=0 * every, median=1.0, scatter=0.05),
+    }
+    # as often above the reference as below, by the same factors
+    factors = np.exp(np.outer(rng.normal(0.0, 0.1, 10), (1.0, -1.0)).ravel())
+    of_law["equal"] = [
+        row | {name: row[name] * factor for name in ("itae", "isv")}
+        for row, factor in zip(of_law["tde_aismc"], factors, strict=True)
+    ]
+    standings = [boards._standing(law, rows, tmp_path / "no") for law, rows in of_law.items()]
+    board = boards.Board(mission=mission, standings=tuple(standings), bounds={}, motion=20.0)
+    found = {law: each for (_, law), each in comparison([board]).items()}
+    findings = {law: {key: x.finding for key, x in each.items()} for law, each in found.items()}
+    same = "within noise"
+    assert findings == {
+        "better": {"settled": same, "itae": "smaller", "isv": "smaller"},
+        "equal": {"settled": same, "itae": same, "isv": same},
+        "worse": {"settled": "smaller", "itae": "larger", "isv": "larger"},
+        "lost": {"settled": "smaller"},
+    }
+    assert found["worse"]["itae"].pairs == some.sum()
+    assert all(each.figures["itae"] is None or each.figures["itae"] < 4.0 for each in standings)
+    text = comparison_markdown([board], comparison([board]))
+    cells = {line.split("|")[1].strip(" `"): line for line in text.splitlines() if "`" in line}
+    assert cells["lost"].count(NONE) == 4
+    assert f"{some.sum()} of 20 [" in cells["worse"]
+    assert "↓" in cells["worse"].split("|")[2]
+    page = re.sub("<[^>]*>", " ", benchmark_page([board], [], comparison([board])))
+    write_table(board_columns([board], comparison([board])), tmp_path / "laws.csv")
+    csv_rows = {row["law"]: row for row in csv.DictReader((tmp_path / "laws.csv").open())}
+    ratio = found["better"]["itae"].value
+    assert float(csv_rows["better"]["ITAE ratio"]) == pytest.approx(ratio.value)
+    assert f"{ratio.value:.4f} [{ratio.low:.4f}, {ratio.high:.4f}] ↓" in page
+    (panel,) = comparison_figure([board], comparison([board])).axes
+    assert [label.get_text() for label in panel.get_yticklabels()] == list(found)
+    assert {text.get_text() for text in panel.texts} == {f"{some.sum()}/20", "0/20"}
+
+
+def test_six_missions_are_compared_by_default():
+    assert len(compared_missions()) == 6
+    assert set(compared_missions()) <= set(mission_names())
 
 
 def copied(folder, to):
@@ -77,10 +152,10 @@ def copied(folder, to):
 
 
 @pytest.mark.smoke
-def test_laws_are_ranked_with_three_seeds(mission, folder, monkeypatch):
+def test_laws_are_ranked_with_the_same_seeds(mission, folder, monkeypatch):
     """Every law; one that cannot be built does not apply."""
-    monkeypatch.setattr(missions, "controller_names", lambda: ("tdc", "asmc", "no_such_law"))
-    board = run_mission(mission, [], folder, workers=HERE)
+    monkeypatch.setattr(boards, "shipped_names", lambda _: ("tdc", "asmc", "no_such_law"))
+    board = run_mission(placed(mission, folder), [], workers=HERE)
     ranked = [standing.controller for standing in board.standings]
     assert ranked == ["asmc", "tdc", "no_such_law"]
     assert [standing.settled for standing in board.standings] == [3, 3, 0]
@@ -100,13 +175,13 @@ def test_laws_are_ranked_with_three_seeds(mission, folder, monkeypatch):
 
 def test_an_interrupted_benchmark_goes_on(mission, folder, tmp_path):
     """Only what is missing is run."""
-    (path,) = copied(folder, tmp_path).glob("*.db")
-    sql(path, "DELETE FROM results WHERE case_index = 1 AND controller = 'tdc'")
+    place = placed(mission, copied(folder, tmp_path))
+    sql(place.database("tdc"), "DELETE FROM results WHERE case_index = 1")
     runs = []
     laws = ["tdc", "asmc"]
-    board = run_mission(mission, laws, tmp_path, workers=HERE, progress=runs.append)
-    assert runs[-1].session == 1
-    again = run_mission(mission, laws, folder, workers=HERE)
+    board = run_mission(place, laws, workers=HERE, progress=runs.append)
+    assert (runs[-1].session, runs[-1].done, runs[-1].total) == (1, 6, 6)
+    again = run_mission(placed(mission, folder), laws, workers=HERE)
     for first, second in zip(board.standings, again.standings, strict=True):
         assert first.figures == second.figures
 
@@ -114,41 +189,40 @@ def test_an_interrupted_benchmark_goes_on(mission, folder, tmp_path):
 def written(boards, folder):
     """A leaderboard as a table, on the page, as CSV and as LaTeX, without markup."""
     for suffix in ("csv", "tex"):
-        write_table(board_columns(boards), folder / f"laws.{suffix}")
+        write_table(board_columns(boards, {}), folder / f"laws.{suffix}")
         yield (folder / f"laws.{suffix}").read_text()
     yield "".join(map(board_text, boards))
-    yield re.sub("<[^>]*>", " ", benchmark_page(boards, []).split("<details>")[0])
+    yield re.sub("<[^>]*>", " ", benchmark_page(boards, [], {}).split("<details>")[0])
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_law_that_was_cut_keeps_its_row(seed, mission, folder, tmp_path):
     """By an interruption, or by the time limit of a campaign; and the figures of a law."""
     rng, expected = np.random.default_rng([51, seed]), {}
-    (path,) = copied(folder, tmp_path).glob("*.db")
+    place = placed(mission, copied(folder, tmp_path))
     for law in ("tdc", "asmc"):
-        kinds = rng.choice(["kept", missions.NOT_RUN, missions.CUT], 3)
-        kinds[0] = rng.choice([missions.NOT_RUN, missions.CUT])
+        kinds = rng.choice(["kept", boards.NOT_RUN, boards.CUT], 3)
+        kinds[0] = rng.choice([boards.NOT_RUN, boards.CUT])
         counts = {kind: int((kinds == kind).sum()) for kind in kinds if kind != "kept"}
         expected[law] = [f"{count} {kind}" for kind, count in counts.items()]
         for case, kind in enumerate(kinds):
-            row = f"case_index = {case} AND controller = '{law}'"
+            row = f"case_index = {case}"
             change = {
                 "kept": "SELECT 1",
-                missions.NOT_RUN: f"DELETE FROM results WHERE {row}",
-                missions.CUT: "UPDATE results SET outcome = 'error', message = 'TimeLimit: took "
+                boards.NOT_RUN: f"DELETE FROM results WHERE {row}",
+                boards.CUT: "UPDATE results SET outcome = 'error', message = 'TimeLimit: took "
                 f"longer than 600 s of wall time (time_limit)' WHERE {row}",
             }[kind]
-            sql(path, change)
-    cut = missions._figures_of(mission, "tdc", tmp_path)
-    cut.unlink() if seed % 2 else cut.write_text(json.dumps(dict.fromkeys(FIGURES, np.nan)))
-    board = board_so_far(mission, ["tdc", "asmc", "pd_plus"], tmp_path)
+            sql(place.database(law), change)
+    place.margins("tdc").write_text(json.dumps(dict.fromkeys(FIGURES, np.nan)))
+    board = board_so_far(place, ["tdc", "asmc", "pd_plus"])
     expected["pd_plus"] = ["3 not run"]
     assert {each.controller for each in board.standings} == set(expected)
     for text in written([board], tmp_path):
         for law, words in expected.items():
             (line,) = re.findall(rf"\b{law.replace('_', '.{0,2}_')}\b[^\n]*", text)
             assert all(word in line for word in words), (text, words)
-        assert len(re.findall(r"\bcut\b(?! by)", text)) == 2 * len(FIGURES)
+        assert len(re.findall(r"\bcut\b(?! by)", text)) == len(FIGURES)
 
 
 @pytest.mark.slow
@@ -160,12 +234,12 @@ def test_an_interrupted_command_writes_what_it_has(mission, tmp_path, monkeypatc
 
     for name in ("first", "second"):
         (tmp_path / f"{name}.yaml").write_text("extends: postcapture\nduration: 0.2\n")
-    monkeypatch.setattr(missions, "resume_campaign", interrupted)
+    monkeypatch.setattr(boards, "resume_campaign", interrupted)
     files = [str(tmp_path / f"{name}.yaml") for name in ("first", "second")]
     result = CliRunner().invoke(
         main,
-        ["benchmark", *files, "-c", "tdc", "--workers", "1", "--out", str(tmp_path / "o"),
-         "--table", str(tmp_path / "laws.csv")],
+        ["benchmark", *files, "-c", "tdc", "--seeds", "3", "--workers", "1",
+         "--out", str(tmp_path / "o"), "--table", str(tmp_path / "laws.csv")],
     )  # fmt: skip
     assert result.exit_code not in (0, 3)
     assert (tmp_path / "o" / "benchmark.html").read_text().count("0 of 3, 3 not run") == 2
@@ -177,22 +251,23 @@ def test_an_interrupted_command_writes_what_it_has(mission, tmp_path, monkeypatc
 def test_a_users_law_gets_its_row(mission, folder, tmp_path, monkeypatch):
     (tmp_path / "idle_law.py").write_text(LAW)
     monkeypatch.syspath_prepend(str(tmp_path))
-    board = run_mission(mission, ["idle_law:Idle"], copied(folder, tmp_path), workers=HERE)
+    place = placed(mission, copied(folder, tmp_path))
+    board = run_mission(place, ["idle_law:Idle"], workers=HERE)
     assert [each.controller for each in board.standings] == ["asmc", "tdc", "idle_law:Idle"]
     assert "error" not in board.standings[-1].outcomes
     with pytest.raises(Exception, match="no_such_law"):
-        run_mission(mission, ["no_such_law:Law"], tmp_path, workers=HERE)
+        run_mission(placed(mission, tmp_path), ["no_such_law:Law"], workers=HERE)
 
 
 def test_a_law_that_diverges_at_once_does_not_lead(mission, folder, tmp_path, monkeypatch):
     """Its error in the little time that it had is no figure."""
     (tmp_path / "wild_law.py").write_text(LAW.replace("0.0 *", "1e6 + 0.0 *"))
     monkeypatch.syspath_prepend(str(tmp_path))
-    board = run_mission(mission, ["wild_law:Idle"], copied(folder, tmp_path), workers=HERE)
+    board = run_mission(placed(mission, copied(folder, tmp_path)), ["wild_law:Idle"], workers=HERE)
     *_, last = board.standings
     assert (last.controller, last.outcomes) == ("wild_law:Idle", ("diverged",) * 3)
     assert last.figures["itae"] is None
-    assert "0 of 3, 3 diverged" in board_text(board)
+    assert re.search(r"0 of 3 \[0.00, 0.56\], 3 diverged", board_text(board))
 
 
 @pytest.mark.long
@@ -201,7 +276,7 @@ def test_other_scenarios_do_not_mix(mission, folder, tmp_path):
     changed = dataclasses.replace(
         mission, scenario=override_scenario(mission.scenario, ["duration=0.2"])
     )
-    board = run_mission(changed, ["tdc"], copied(folder, tmp_path), workers=HERE)
+    board = run_mission(placed(changed, copied(folder, tmp_path)), ["tdc"], workers=HERE)
     assert [each.controller for each in board.standings] == ["tdc"]
 
 
@@ -321,13 +396,13 @@ def test_every_mission_says_its_source_and_what_is_assumed():
 
 
 def test_the_page_opens_offline_and_holds_every_number(mission, folder):
-    board = run_mission(mission, ["tdc", "asmc"], folder, workers=HERE)
+    board = run_mission(placed(mission, folder), ["tdc", "asmc"], workers=HERE)
     checks = list(check_mission(board))
-    page = benchmark_page([board], checks)
+    page = benchmark_page([board], checks, {})
     assert page.index("<table") < page.index("<dt>Effort</dt>")
     assert not re.search(r'(src|href)="(?!data:|#)', page)
     assert "1000000000" in page or "10⁹" in page
-    data = benchmark_data([board], checks)
+    data = benchmark_data([board], checks, {})
     assert data["missions"]["postcapture"]["laws"]["tdc"]["outcomes"] == ["settled"] * 3
     assert data["published_figures"][0]["reproduced"] is True
     assert json.loads(json.dumps(data)) == data
@@ -338,7 +413,7 @@ def test_the_page_opens_offline_and_holds_every_number(mission, folder):
 def test_the_command(tmp_path, monkeypatch):
     scenario = tmp_path / "short.yaml"
     scenario.write_text("extends: postcapture\nduration: 0.2\n")
-    words = f"benchmark {scenario} -c tdc --workers 1 --out o --table laws.csv".split()
+    words = f"benchmark {scenario} -c tdc --seeds 3 --workers 1 --out o --table laws.csv".split()
     monkeypatch.chdir(tmp_path)
     for _ in range(2):
         result = CliRunner().invoke(main, words)
@@ -352,9 +427,9 @@ def test_the_command(tmp_path, monkeypatch):
     assert row.startswith("short,tdc,3,3,")
     assert json.loads((tmp_path / "o" / "benchmark.json").read_text())["missions"]["short"]
     missed = Published(figure="isv", value=1.0, source="a test")
-    monkeypatch.setattr(missions, "controller_names", lambda: ("tdc",))
+    monkeypatch.setattr(boards, "shipped_names", lambda _: ("tdc",))
     monkeypatch.setattr(
-        missions,
+        boards,
         "check_mission",
         lambda board: [Reproduced(mission="short", published=missed, found=2.0)],
     )
@@ -371,15 +446,15 @@ def test_the_command(tmp_path, monkeypatch):
         "[]",
         "{}",
         "null",
-        json.dumps(dict.fromkeys(missions.FIGURES, "<b>")),
+        json.dumps(dict.fromkeys(boards.FIGURES, "<b>")),
         "x" * 200_000,
     ],
 )
 def test_a_benchmark_takes_no_figures_from_another_file(text, tmp_path):
     """They are then found anew."""
-    found = dict.fromkeys(missions.FIGURES, 1.0)
+    found = dict.fromkeys(boards.FIGURES, 1.0)
     path = tmp_path / "figures.json"
     path.write_text(json.dumps(found))
-    assert missions._read_figures(path) == found
+    assert boards._read_figures(path) == found
     path.write_text(text)
-    assert missions._read_figures(path) is None
+    assert boards._read_figures(path) is None
