@@ -65,7 +65,7 @@ from ffsm_drake.scenario.schema import (
     controller_key,
     planned_part,
 )
-from ffsm_drake.scenario.sensing import ESTIMATOR_KINDS, CommandFilter, Estimator, Sensing
+from ffsm_drake.scenario.sensing import ESTIMATOR_KINDS, Barriers, CommandFilter, Estimator, Sensing
 from ffsm_drake.scenario.strict_yaml import StrictYamlError, read_yaml, write_yaml
 from ffsm_drake.scenario.supervisor import Supervisor
 from ffsm_drake.scenario.target_sensing import Measured, TargetSensor, TargetTracker
@@ -93,6 +93,7 @@ __all__ = [
     "Block",
     "Blocks",
     "Capture",
+    "Barriers",
     "CommandFilter",
     "Detection",
     "Disturbance",

@@ -80,9 +80,42 @@ class Estimator:
 
 
 @dataclass
+class Barriers:
+    """Control barrier functions, which change the commanded force of the joints as little as
+    possible to keep them within their limits of position, rate and force.
+    """
+
+    decay: PerCoordinate = setting(
+        {"all": 2.0},
+        "1/s",
+        "decay rate of the distance to a position limit, twice: a joint approaches its limit at "
+        "most at this rate times the distance",
+        above=0,
+    )
+    rate_decay: PerCoordinate = setting(
+        {"all": 10.0}, "1/s", "decay rate of the distance to a rate limit", above=0
+    )
+    margin: PerCoordinate = setting(
+        {"all": 0.01},
+        "rad/s^2 or m/s^2",
+        "bound of the error of the acceleration that the nominal model predicts",
+        least=0,
+    )
+    lower: PerCoordinate = setting(
+        {}, "rad or m", "lower position limit, in addition to the limit of the model"
+    )
+    upper: PerCoordinate = setting(
+        {}, "rad or m", "upper position limit, in addition to the limit of the model"
+    )
+    rate: PerCoordinate = setting(
+        {}, "rad/s or m/s", "rate limit, in addition to the limits of model and drives", above=0
+    )
+
+
+@dataclass
 class CommandFilter:
     """Filters of the force that the control law commands, before any actuator. Stability and noise
-    analyses include them.
+    analyses include them, except the barriers.
     """
 
     low_pass: PerCoordinate = setting(
@@ -93,6 +126,9 @@ class CommandFilter:
     )
     notch_width: PerCoordinate = unitless(
         {"all": 0.5}, "width of the notch at half power, divided by its centre frequency", above=0
+    )
+    barriers: Barriers | None = unitless(
+        None, "barriers that keep the joints within their limits, after the filters; null: none"
     )
 
 

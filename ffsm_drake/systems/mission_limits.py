@@ -2,11 +2,10 @@
 
 import dataclasses
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 
 import numpy as np
 
-from ffsm_drake.common.numbers import number
 from ffsm_drake.mission import Mission
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -17,8 +16,6 @@ from ffsm_drake.systems.registry import base_actuators, section_parts
 # Axes, edges and corners of a cube.
 DIRECTIONS = np.array([each for each in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(each)])
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1)[:, None]
-
-_UNEVEN = 30.0  # ratio of the largest to the least torque, or force; shipped sets: below 10
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -54,29 +51,6 @@ def _span(most: np.ndarray, unit: str) -> str:
     """Return the envelope over all directions (n), in words; empty if there is none."""
     known = most[np.isfinite(most)]
     return f"{known.min():.3g} to {known.max():.3g} {unit}" if known.size else ""
-
-
-def uneven_remarks(scenario: Scenario) -> Iterator[str]:
-    """Remarks on nearly degenerate base actuators: output along the weakest direction. Raises the
-    errors of ``base_limits``.
-    """
-    for part in base_actuators(scenario).values():
-        principal = [np.linalg.svd(each)[0].T for each in part.reach(scenario).values()]
-        directions = np.vstack([DIRECTIONS, *(-each for each in principal), *principal])
-        for what, most in part.most(scenario, directions).items():
-            finite = np.isfinite(most)
-            if not finite.any() or most[finite].max() <= _UNEVEN * most[finite].min():
-                continue
-            weak, strong = np.where(finite, most, np.inf).argmin(), most[finite].max()
-            axis = ", ".join(f"{each:.2g}" for each in directions[weak].round(3) + 0.0)
-            unit = "N m" if what == "torque" else "N"
-            by_axis = (most[np.abs(directions[:, k]) == 1.0].min() for k in range(3))
-            axes = "x, y, z: " + ", ".join(number(each, 3) for each in by_axis)
-            yield (
-                f"actuation: {part.title.lower()} nearly degenerate: {what} along [{axis}] is "
-                f"{most[weak]:.3g} {unit}, elsewhere up to {strong:.3g} {unit} ({axes} {unit}); "
-                "turn their axes apart"
-            )
 
 
 def limits_of(

@@ -2,7 +2,7 @@
 
 ``python tests/golden/golden.py [NAME...]`` rewrites what has changed by more than rounding; with
 ``--moves [FOLDER]`` it prints how far each part is from the one in another ``tests/golden``, and
-exits with 1 if one has moved. The plug-in of baselines is left out.
+exits with 1 if one has moved. Laws from the literature are left out.
 
 ``runs/NAME.json`` holds, of 2 s of each shipped scenario with its own controller (and of some with
 every law), the record's variables at every 20th sample, its metrics, names, dimensions and units,
@@ -44,7 +44,7 @@ WITH_EVERY_LAW = ("postcapture", "flight_sensors", "tumbling_capture", "free_flo
 BASELINES = {
     name
     for name, offer in FACTORIES["controller"].offers().items()
-    if plugin_of(offer.module) == "baselines"
+    if plugin_of(offer.module) in ("baselines", "zero_reaction")
 }
 DURATION = "duration=2"
 # A short approach, mild enough to be followed.

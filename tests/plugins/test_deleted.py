@@ -26,6 +26,7 @@ NEEDED = {
     "actuators": [[*SHORT, "--set", "actuation.limit.joints=1"]],
     "analysis": [["analyze", "out"]],
     "audit": [["audit", "log.csv", "--urdf", "craft.urdf"]],
+    "barriers": [[*SHORT, "--set", "command_filter.barriers={}"]],
     "baselines": [["validate", "postcapture", "--set", "controller=fixed_time"]],
     "benchmark": [["benchmark", "paper"]],
     "campaign": [["campaign", "status", "c.db"]],
@@ -63,6 +64,7 @@ NEEDED = {
     "two_arms": [["run", "two_arms", "--no-report", "--out", "out"]],
     "udp": [["run", "postcapture", "-c", "ffsm_drake.plugins.udp.external:External"]],
     "workers": [["reproduce", "table2"]],
+    "zero_reaction": [[*SHORT, "--controller", "adaptive_zero_reaction"]],
 }
 # Of a copy of the package: what is left is imported, and commands run.
 CODE = """

@@ -10,6 +10,7 @@ from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.run import Run
 from ffsm_drake.runs.ending import Outcome
 from ffsm_drake.runs.log import RunLog
+from ffsm_drake.systems.parts.placed import Parts, place_part
 
 COMPILED = "compiled"  # name of the engine
 
@@ -46,9 +47,20 @@ def log_of(
         tracks_frame=run.law.tracks_frame,
         sliding_unit=str(run.law.sliding_unit),
         engine=engine_of(run),
-        parts=case.made.placed,
+        parts=_parts_of(run, case),
         time=time,
         series=series,
         wall_time={},
         own_model=run.posed_model,
     )
+
+
+def _parts_of(run: Run, case: Case) -> Parts:
+    """The parts of the scenario, and that of the law if it has one."""
+    part = run.controller.part
+    if part is None:
+        return case.made.placed
+    setup = case.made.setup("controller")
+    name = "controller"
+    law = place_part(part, setup, run.controller, name=name, block=name)
+    return {**case.made.placed, name: law}

@@ -79,7 +79,7 @@ class ScenarioBlocks:
             if not isinstance(part, Part):
                 continue
             settings = choices.get(name, Choice()).settings
-            setup = self._setup(name if is_own else name.rpartition(".")[2], settings)
+            setup = self.setup(name if is_own else name.rpartition(".")[2], settings)
             place = f"blocks.{name} '{type(part).__name__}'"
             signals = calling(place, lambda part=part, setup=setup: tuple(part.signals(setup)))
             constants = calling(place, lambda part=part, setup=setup: tuple(part.constants(setup)))
@@ -95,11 +95,12 @@ class ScenarioBlocks:
     def recorded(self, scenario: Scenario) -> tuple[str, ...]:
         """Signals of the actuators and forces of a scenario."""
         parts = section_parts(scenario, of="actuation").values()
-        setup = self._setup("actuation")
+        setup = self.setup("actuation")
         names = [signal.name for part in parts for signal in part.signals(setup)]
         return *names, *self._shown
 
-    def _setup(self, name: str, settings: Mapping[str, Any] = {}) -> BlockSetup:
+    def setup(self, name: str, settings: Mapping[str, Any] = {}) -> BlockSetup:
+        """What a block is made from, with its name and settings."""
         return dataclasses.replace(self._plain, name=name, settings=settings)
 
     def _made(self, kind: str) -> dict[str, Sampled | Continuous]:
@@ -114,7 +115,7 @@ class ScenarioBlocks:
             choice = choices.get(block, Choice())
             given = self._given.get(block) or parts.get(block)
             factory = given or factory_of(block, scenario)
-            setup, place = self._setup(name, choice.settings), f"blocks.{block} '{choice.system}'"
+            setup, place = self.setup(name, choice.settings), f"blocks.{block} '{choice.system}'"
             # of a part, ``flow`` has pure functions in place of a Drake system
             made = call_factory(getattr(factory, "flow", factory), setup, place=place)
             if isinstance(factory, Part) and kind == "forces":
@@ -141,7 +142,7 @@ class ScenarioBlocks:
         """The supervisor; None: there is none."""
         own = section_parts(self._plain.scenario).get("supervisor")
         part = self._given.get("supervisor", own)
-        setup = self._setup("supervisor")
+        setup = self.setup("supervisor")
         return part.supervisor(setup) if isinstance(part, Supervised) else None
 
     def _reference(self) -> FollowedReference | None:
@@ -149,7 +150,7 @@ class ScenarioBlocks:
         factory = self._given.get("reference")
         if factory is None:
             return None
-        setup = self._setup("reference")
+        setup = self.setup("reference")
         made = call_factory(factory, setup, place="blocks.reference")
         if not isinstance(made, Sampled) or made.inputs:
             raise NotCovered("blocks.reference")

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
-from ffsm_drake.common.numbers import short
+from ffsm_drake.common.numbers import number, short
 from ffsm_drake.mission import Mission, make_mission, planned
 from ffsm_drake.plugins.actuators.drives import DriveSet
 from ffsm_drake.plugins.capture.grasping import Aim
@@ -29,11 +29,13 @@ from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, ti
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_body
-from ffsm_drake.systems.mission_limits import actuation_limit, joint_limits, uneven_remarks
+from ffsm_drake.systems.mission_limits import DIRECTIONS, actuation_limit, joint_limits
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.registry import base_actuators
 from ffsm_drake.systems.start import velocity_at_start
 
+_UNEVEN = 30.0  # ratio of the largest to the least torque, or force; shipped sets: below 10
 _POSTURES = 201  # number of instants of the plan evaluated
 _SAME_MASS = 1e-3  # relative
 _SAME_START = 1e-6  # rad, m, and per second
@@ -66,6 +68,29 @@ def plan_remarks(mission: Scenario | Mission) -> list[str]:
         remarks += [*motion.remarks(), *_starts_elsewhere(mission, motion)]
         remarks += _momentum(mission)
     return [*remarks, *plan_limits(mission)]
+
+
+def uneven_remarks(scenario: Scenario) -> Iterator[str]:
+    """Remarks on nearly degenerate base actuators: output along the weakest direction. Raises the
+    errors of ``base_limits``.
+    """
+    for part in base_actuators(scenario).values():
+        principal = [np.linalg.svd(each)[0].T for each in part.reach(scenario).values()]
+        directions = np.vstack([DIRECTIONS, *(-each for each in principal), *principal])
+        for what, most in part.most(scenario, directions).items():
+            finite = np.isfinite(most)
+            if not finite.any() or most[finite].max() <= _UNEVEN * most[finite].min():
+                continue
+            weak, strong = np.where(finite, most, np.inf).argmin(), most[finite].max()
+            axis = ", ".join(f"{each:.2g}" for each in directions[weak].round(3) + 0.0)
+            unit = "N m" if what == "torque" else "N"
+            by_axis = (most[np.abs(directions[:, k]) == 1.0].min() for k in range(3))
+            axes = "x, y, z: " + ", ".join(number(each, 3) for each in by_axis)
+            yield (
+                f"actuation: {part.title.lower()} nearly degenerate: {what} along [{axis}] is "
+                f"{most[weak]:.3g} {unit}, elsewhere up to {strong:.3g} {unit} ({axes} {unit}); "
+                "turn their axes apart"
+            )
 
 
 def plan_limits(mission: Mission) -> list[str]:

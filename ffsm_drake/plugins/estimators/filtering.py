@@ -10,6 +10,7 @@ from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario import CommandFilter
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, WrappedLaw
+from ffsm_drake.systems.setup import BlockSetup
 
 _KEY = "command_filter"
 
@@ -57,6 +58,12 @@ class FilteredLaw(WrappedLaw):
 
 
 _MEMORY = ("low_passed_force", "notch_first", "notch_second")
+
+
+def with_filters(law: ControlLaw, setup: BlockSetup) -> ControlLaw:
+    """Return a law with the filters of the scenario of a setup. Raises as ``make_filtered``."""
+    settings, period = setup.scenario.command_filter, setup.sample_time
+    return make_filtered(law, settings, setup.coordinates, sample_time=period)
 
 
 def make_filtered(

@@ -8,6 +8,6 @@ PLUGIN = Plugin(
             "coupled": "estimators.coupled:CoupledEstimator",
             "kalman": "estimators.kalman:KalmanEstimator",
         },
-        "command_filters": {"estimators": "estimators.filtering:make_filtered"},
+        "command_filters": {"filters": "estimators.filtering:with_filters"},
     },
 )

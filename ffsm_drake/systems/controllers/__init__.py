@@ -1,6 +1,8 @@
 """Controllers: control laws as pure functions, and the one system around them."""
 
-from typing import Any, Protocol
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 from pydrake.systems.framework import System
 
@@ -50,22 +52,9 @@ __all__ = [
 ]
 
 
-class FilterOfCommands(Protocol):
-    """Returns a law with the filters of a scenario, or the law itself.
-
-    Raises ScenarioError: an unknown coordinate, or a frequency that is too high.
-    """
-
-    def __call__(
-        self,
-        law: ControlLaw,
-        settings: CommandFilter,
-        coordinates: Coordinates,
-        *,
-        sample_time: float,
-    ) -> ControlLaw: ...
-
-
+# From a law and its setup, returns the law with filters of the scenario; by what sets them. Raises
+# ScenarioError: an unknown coordinate, or a value that cannot be used.
+FilterOfCommands = Callable[[Any, BlockSetup], Any]
 COMMAND_FILTERS = Registry[FilterOfCommands]("command_filters")
 PAPER_LAWS = ("tdc", "asmc", "aismc", "tde_aismc")  # the paper's comparison
 
@@ -114,9 +103,10 @@ def make_controller(
         raise BlockError(f"{place} must be a control law or a Drake system, not a class of them")
     is_law = hasattr(made, "initial_state") and hasattr(made, "step")
     law, filters = made, scenario.command_filter
-    if filters != CommandFilter():
-        filtered = COMMAND_FILTERS.only("command_filter")
-        law = filtered(made, filters, setup.coordinates, sample_time=setup.sample_time)
+    if replace(filters, barriers=None) != CommandFilter():
+        law = COMMAND_FILTERS.load("filters", "command_filter")(law, setup)
+    if filters.barriers:
+        law = COMMAND_FILTERS.load("barriers", "command_filter.barriers")(law, setup)
     if is_law:
         return SampledController(
             law,

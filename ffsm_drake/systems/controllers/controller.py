@@ -95,7 +95,8 @@ class SampledController(LeafSystem):
         self._declare_inputs()
         self._declare_state(len(coordinates.names), memory)
         self.DeclareStateOutputPort("generalized_force", self._force)
-        for key in (each.name for each in LAW_SIGNALS):
+        self.part = getattr(law, "part", None)  # describes further ones, ``logged``
+        for key in (*(each.name for each in LAW_SIGNALS), *getattr(law, "logged", ())):
             if key in self._memory:
                 self.DeclareStateOutputPort(key, self._memory[key])
         self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))

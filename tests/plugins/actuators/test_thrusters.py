@@ -33,6 +33,7 @@ from ffsm_drake.plugins.actuators.modulation import (
 )
 from ffsm_drake.plugins.actuators.row import make_base_actuators
 from ffsm_drake.plugins.actuators.thrusters import STANDARD_GRAVITY, ThrusterSet
+from ffsm_drake.plugins.design.remarks import uneven_remarks
 from ffsm_drake.plugins.report.comparison import rankings, table
 from ffsm_drake.plugins.report.page import render_report
 from ffsm_drake.plugins.report.part_panels import part_views
@@ -42,7 +43,6 @@ from ffsm_drake.show.results import results_of
 from ffsm_drake.show.tables import results_table
 from ffsm_drake.spacecraft.plant import coordinates_of, make_plant
 from ffsm_drake.systems.controllers import ControlLaw
-from ffsm_drake.systems.mission_limits import uneven_remarks
 from ffsm_drake.systems.parts.signals import pulses_of
 
 LAYOUTS = tuple(thruster_layouts())

@@ -20,13 +20,13 @@ from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.common.numbers import number
 from ffsm_drake.plugins.actuators.row import make_base_actuators
 from ffsm_drake.plugins.actuators.wheel_set import WheelSet
+from ffsm_drake.plugins.design.remarks import uneven_remarks
 from ffsm_drake.plugins.report.part_panels import part_tables
 from ffsm_drake.scenario import Wheel, Wheels
 from ffsm_drake.show.results import results_of
 from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.spacecraft.mass_properties import set_payload
 from ffsm_drake.spacecraft.plant import models_dir
-from ffsm_drake.systems.mission_limits import uneven_remarks
 
 SHORT = (*flight_settings.FLIGHT, *flight_settings.NO_NOISE, "duration=2")
 INERTIA, PERIOD = 0.08, 0.01

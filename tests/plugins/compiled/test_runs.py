@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from compared_runs import check
+from law_lists import joint_laws
 
 from ffsm_drake import FfsmError, load_scenario, simulate_many
 from ffsm_drake.mission import Mission
@@ -28,11 +29,7 @@ def varied(given, count):
     ]
 
 
-LAWS = (
-    "tdc", "asmc", "aismc", "tde_aismc", "computed_torque", "pd_plus", "fixed_time",
-    "super_twisting", "terminal_sliding_mode", "torque_against_momentum", "prescribed_performance",
-    "fixed_time_observer",
-)  # fmt: skip
+LAWS = joint_laws("coordinated", "slotine_li", "tvlqr")  # of any mission
 
 
 @pytest.mark.smoke

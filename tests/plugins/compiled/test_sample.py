@@ -7,6 +7,7 @@ import itertools
 
 import numpy as np
 import pytest
+from law_lists import frame_laws, joint_laws
 
 from ffsm_drake import load_scenario
 from ffsm_drake.mission import Mission, make_mission
@@ -17,11 +18,7 @@ from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.sampled_loop import SampledLoop, traced_sample
 from ffsm_drake.scenario import HELD
 
-LAWS = (
-    "tde_aismc", "aismc", "asmc", "tdc", "computed_torque", "pd_plus", "super_twisting",
-    "terminal_sliding_mode", "fixed_time", "torque_against_momentum", "prescribed_performance",
-    "fixed_time_observer",
-)  # fmt: skip
+LAWS = joint_laws("coordinated", "slotine_li", "tvlqr")
 SCENARIOS = (
     ("postcapture", ()),
     ("postcapture", ("sensing.delay=1",)),
@@ -40,7 +37,7 @@ SCENARIOS = (
 )
 # Laws with a task, or with gains along the plan; and scenarios with undriven coordinates, or with
 # an estimator that has gains along the plan.
-FURTHER_LAWS = ("resolved_rate", "task_computed_torque", "task_time_delay", "tvlqr")
+FURTHER_LAWS = (*frame_laws(), "tvlqr")
 SHORT = ("duration=4", "reference.duration=3")
 AT_ORIGIN, UPRIGHT = "initial_posture.base_position=[0, 0, 0]", "initial_posture.base_rpy=[0, 0, 0]"
 FURTHER_SCENARIOS = (

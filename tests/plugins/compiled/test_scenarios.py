@@ -5,6 +5,7 @@ import os
 import numpy as np
 import pytest
 from compared_runs import check, of_seeds
+from law_lists import joint_laws
 
 from ffsm_drake import simulate_many
 from ffsm_drake.mission import make_mission
@@ -26,10 +27,7 @@ SHIPPED = {
     "thrusters_and_wheels": [],
 }
 FAST = "environment={altitude: null, mean_motion: 0.01}"
-LAWS = (
-    "tdc", "asmc", "aismc", "tde_aismc", "computed_torque", "pd_plus", "fixed_time",
-    "super_twisting", "terminal_sliding_mode", "torque_against_momentum", "coordinated", "tvlqr",
-)  # fmt: skip
+LAWS = joint_laws("slotine_li")
 
 
 @pytest.mark.slow

@@ -3,16 +3,17 @@
 import random
 from pathlib import Path
 
+from law_lists import frame_laws, traced_laws
+
 from ffsm_drake import load_scenario, make_nominal_plant
 from ffsm_drake.plugins.new.first_scenario import new_scenario
 from ffsm_drake.spacecraft.plant import configuration
-from ffsm_drake.systems.controllers import controller_names
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "courier.urdf"
-REFUSED = ("mpc", "nmpc")  # they solve programs
-LATER = ("fixed_time_observer", "prescribed_performance")  # last, so that other draws stay
-TRACEABLE = [*sorted(set(controller_names()) - {*REFUSED, *LATER}), *LATER]
-OF_FRAMES = ("resolved_rate", "task_computed_torque", "task_time_delay")
+LATER = ("fixed_time_observer", "prescribed_performance")  # after others, so that draws stay
+LAST = ("adaptive_zero_reaction",)
+TRACEABLE = [*sorted(traced_laws(*LATER, *LAST)), *LATER, *LAST]
+OF_FRAMES = frame_laws()
 TIME_DELAY = (
     "aismc", "asmc", "fixed_time", "prescribed_performance", "super_twisting", "task_time_delay",
     "tdc", "tde_aismc", "terminal_sliding_mode",
@@ -32,8 +33,8 @@ def drawn(seed: int, courier: str, *, gently: bool = False):
     can make its run diverge.
     """
     draw = random.Random(seed)
-    others = TRACEABLE[: -len(LATER)]
-    cases = [(law, craft) for laws in (others, LATER) for craft in CRAFT for law in laws]
+    others = TRACEABLE[: -len((*LATER, *LAST))]
+    cases = [(law, craft) for laws in (others, LATER, LAST) for craft in CRAFT for law in laws]
     law, craft = cases[seed % len(cases)]
     base = {"courier": courier}.get(craft, craft)
     duration = draw.choice([2.0, 4.0, 6.0])

@@ -12,7 +12,7 @@ from c_code import COMPILERS, compiled, needs_c, needs_llvm
 from children import finished
 from drawn_laws import CRAFT, TRACEABLE, drawn, users_scenario
 
-from ffsm_drake import FfsmError, export
+from ffsm_drake import FfsmError, export, load_scenario
 
 pytestmark = needs_llvm
 DRAWS = int(os.environ.get("FFSM_DRAWS", len(TRACEABLE) * len(CRAFT)))
@@ -48,3 +48,17 @@ def test_the_forces_of_a_drawn_law_are_equal(draw, tmp_path, courier):
     done = finished([*runner, str(program), *(["1e-9"] if calls else [])], cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert ("passed: within the tolerance" if calls else "passed: equal bit for bit") in done.stdout
+
+
+@needs_c
+@pytest.mark.long
+@pytest.mark.parametrize("level", ["-O0", "-O2"])
+def test_the_forces_of_a_law_within_barriers_are_equal(level, tmp_path):
+    """Also where the barriers act."""
+    barriers = "command_filter.barriers={margin: 0.2, rate: 0.08}"
+    given = ["controller=tdc", "duration=3", "reference.duration=4", barriers]
+    export(tmp_path / "law.c", load_scenario("postcapture", given), kit=True)
+    program = compiled(tmp_path, ["replay.c", "recording.c", "law.c"], level, name="replay")
+    done = finished([str(program)], cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "passed: equal bit for bit" in done.stdout

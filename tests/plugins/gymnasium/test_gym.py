@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 from children import PIPE, child
+from law_lists import frame_laws
 
 from ffsm_drake import FfsmError, load_scenario, simulate
 from ffsm_drake.systems.controllers import controller_names, make_controller
@@ -50,9 +51,7 @@ def test_gymnasium_finds_nothing_to_complain_of(name, dtype, recwarn):
     assert not [str(each.message) for each in recwarn if "gymnasium" in str(each.filename)]
 
 
-LAWS = sorted(
-    set(controller_names()) - {"resolved_rate", "task_computed_torque", "task_time_delay"}
-)
+LAWS = sorted({*controller_names()} - {*frame_laws()})
 
 
 @pytest.mark.parametrize("law", LAWS)

@@ -18,7 +18,7 @@ NOT_LINEAR = {"actuation": ("limit", "quantization"), "drives": ("rate_limit",)}
 
 
 def without_limits(mission: Mission) -> Scenario:
-    """The scenario without quantisation, supervisor and faults, with the defaults of
+    """The scenario without quantisation, barriers, supervisor and faults, with the defaults of
     ``NOT_LINEAR``.
     """
     scenario, coordinates = mission.scenario, mission.craft.coordinates
@@ -35,6 +35,7 @@ def without_limits(mission: Mission) -> Scenario:
         sensing=sensing,
         estimator=estimator,
         actuation=actuation,
+        command_filter=dataclasses.replace(scenario.command_filter, barriers=None),
         supervisor=None,
         faults=None,
     )
