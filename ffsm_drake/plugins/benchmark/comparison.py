@@ -66,7 +66,9 @@ def board_rows(board: Board, found: Comparison) -> list[list[str]]:
         cells = cells_of(found.get((board.mission.name, law), {}))
         if cells[SETTLED] != NONE:
             share += f" {cells[SETTLED][-1]}"
-        ratios = ["1" if law == REFERENCE else cells[name] for name in COMPARED if is_compared]
+        if law == REFERENCE and standing.settled:
+            cells |= dict.fromkeys(COMPARED, "1")
+        ratios = [cells[name] for name in COMPARED if is_compared]
         rows.append([
             law, share, *(between(standing.intervals.get(name)) for name in COMPARED), *ratios
         ])  # fmt: skip
