@@ -33,11 +33,11 @@ def courier(tmp_path_factory):
 def test_the_forces_of_a_drawn_law_are_equal(draw, tmp_path, courier):
     law = tmp_path / "law.c"
     try:
-        export(law, drawn(draw, courier), kit=True)
+        said = export(law, drawn(draw, courier), kit=True)
     except FfsmError as error:  # a drawn loop may be unstable
         if "diverged" not in str(error):
             raise
-        export(law, drawn(draw, courier, gently=True), kit=True)
+        said = export(law, drawn(draw, courier, gently=True), kit=True)
     compiler, level, runner = BUILDS[draw % len(BUILDS)]
     static = ["-static"] if runner else []
     sources = ["replay.c", "recording.c", "law.c"]
@@ -47,7 +47,10 @@ def test_the_forces_of_a_drawn_law_are_equal(draw, tmp_path, courier):
     )
     done = finished([*runner, str(program), *(["1e-9"] if calls else [])], cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert ("passed: within the tolerance" if calls else "passed: equal bit for bit") in done.stdout
+    rounds = bool(calls) or "within rounding" in " ".join(said)  # a run of Drake is replayed
+    assert (
+        "passed: within the tolerance" if rounds else "passed: equal bit for bit"
+    ) in done.stdout
 
 
 @needs_c
