@@ -117,7 +117,7 @@ class Study:
     """Missions by kind and number."""
 
     def __init__(self, seed: int, own: Sequence[Path], log: Path | None = None) -> None:
-        self._seed, self._own, self._log = seed, own, log
+        self.seed, self._own, self._log = seed, own, log
         lines = log.read_text().splitlines() if log is not None and log.exists() else []
         known = [Outcome(**json.loads(line)) for line in lines]
         self._known = {each.mission.split()[0]: each for each in known}
@@ -137,7 +137,7 @@ class Study:
 
     def run(self, kind: str, index: int) -> Outcome:
         """A mission, drawn by its number; one that cannot be built is drawn anew."""
-        rng = np.random.default_rng([self._seed, len(kind), index])
+        rng = np.random.default_rng([self.seed, len(kind), index])
         while True:
             jams = kind == "jams"
             name, scenario = jam(index) if jams else self.draw(rng, breaks=kind == "faulty")

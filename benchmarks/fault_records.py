@@ -15,7 +15,7 @@ import dataclasses
 import json
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -25,7 +25,6 @@ from fault_detection import Study, _direction, jam, own_missions
 from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.faults import detection
-from ffsm_drake.plugins.faults.known import units_of
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import Grip, Scenario, scenario_from_dict, scenario_to_dict
 from ffsm_drake.spacecraft.craft import make_nominal_plant
@@ -33,7 +32,7 @@ from ffsm_drake.systems.faults import settle_faults
 from ffsm_drake.systems.sampled import Arrays, Now
 from ffsm_drake.systems.setup import BlockSetup
 
-SEED, KINDS = 7, ("faulty", "healthy", "jams")
+KINDS = ("faulty", "healthy", "jams")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -43,12 +42,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--kind", choices=KINDS, default="faulty")
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--number", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=7, help="of the generator")
     asked = parser.parse_args(arguments)
     warnings.simplefilter("ignore")
     if asked.action == "decide":
         decide(asked.folder)
         return
-    study = Others(SEED, arms(asked.folder))
+    study = Others(asked.seed, arms(asked.folder))
     for index in range(asked.first, asked.first + asked.number):
         path = asked.folder / f"{asked.kind}_{index:03d}.npz"
         if not path.exists() and (kept := record(study, asked.kind, index)) is not None:
@@ -150,7 +150,7 @@ class Listening(detection.Detector):
 
 def record(study: Study, kind: str, index: int) -> dict[str, Any] | None:
     """What detection is fed in a drawn mission; one that cannot be built is drawn anew."""
-    rng = np.random.default_rng([SEED, len(kind), index])
+    rng = np.random.default_rng([study.seed, len(kind), index])
     for _ in range(6):
         try:
             drawn = jam(index) if kind == "jams" else study.draw(rng, breaks=kind == "faulty")
@@ -198,27 +198,34 @@ def decide(folder: Path) -> None:
         print(f"| {part or 'healthy'} | {result} | {count} |")
 
 
-def first_report(kept: dict[str, Any]) -> tuple[list[tuple[float, str, str]], int]:
-    """Times, units and kinds of the first report, and the samples up to it."""
-    mission, memory, sample, found = Mission(kept["scenario"]), None, 0, []
+def stepped(kept: dict[str, Any]) -> Iterator[tuple[detection.Detector, Arrays, float]]:
+    """The detector, its memory after each recorded sample, and when it reports that, s."""
+    mission, memory, sample = Mission(kept["scenario"]), None, 0
     step = kept["scenario"].sample_time
     for leg in kept["legs"]:
         nominal, fed = mission.craft.nominal(leg["grip"]), leg["fed"]
         detector = detection.Detector(
             BlockSetup(name="detection", mission=mission, nominal=nominal, settings={})
         )
-        units = units_of(kept["scenario"], nominal.coordinates)
         memory = detector.start(fed["state"][0]) if memory is None else memory
         for row in range(len(fed["state"])):
             inputs = {name: values[row] for name, values in fed.items()}
             _, memory = detector.step(inputs, memory, Now(sample * step))
             sample += 1
-            for index in np.flatnonzero(memory["codes"]):
-                kind = detection.KINDS[int(memory["codes"][index])]
-                found.append((round(sample * step, 2), units[index], kind))
-            if found:
-                return found, sample
-    return found, sample
+            yield detector, memory, sample * step
+
+
+def first_report(kept: dict[str, Any]) -> tuple[list[tuple[float, str, str]], int]:
+    """Times, units and kinds of the first report, and the samples up to it."""
+    found, samples = list[tuple[float, str, str]](), 0
+    for detector, memory, now in stepped(kept):
+        samples += 1
+        for index in np.flatnonzero(memory["codes"]):
+            kind = detection.KINDS[int(memory["codes"][index])]
+            found.append((round(now, 2), detector.units[index], kind))
+        if found:
+            break
+    return found, samples
 
 
 def judged(fault: dict[str, Any] | None, found: Sequence[tuple[float, str, str]]) -> str:

@@ -7,7 +7,11 @@ _BACK, _CENTRED, _LEAST = 0.95, 0.1, 1e-4  # share of the way to a bound; of the
 
 
 def least_squares(
-    matrix: np.ndarray, values: np.ndarray, low: np.ndarray, high: np.ndarray
+    matrix: np.ndarray,
+    values: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    enough: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the least |y - A x|^2 (n) with low <= x <= high, to twice ``_GAP``, and x (n, m).
 
@@ -19,6 +23,7 @@ def least_squares(
       values: y (n, k).
       low: (n, m).
       high: (n, m), above ``low``.
+      enough: a problem with at most these squares is not improved further.
     """
     centre, scale = 0.5 * (high + low), 0.5 * (high - low)
     left = values - np.einsum("nij,nj->ni", matrix, centre)
@@ -30,9 +35,10 @@ def least_squares(
     for step in range(_STEPS + 1):
         rooms = 1.0 + x, 1.0 - x
         gap = (rooms[0] * up + rooms[1] * down).sum(axis=1)
-        goes = gap >= _GAP if step < _STEPS else np.zeros(len(live), dtype=bool)
+        reached = np.einsum("ni,ni->n", left, left)
+        goes = (gap >= _GAP) & (reached > enough) & (step < _STEPS)
         if not goes.all():
-            found[live[~goes]], squares[live[~goes]] = x[~goes], (left[~goes] ** 2).sum(axis=1)
+            found[live[~goes]], squares[live[~goes]] = x[~goes], reached[~goes]
             live, x, left, up, down, scaled, gap = (
                 each[goes] for each in (live, x, left, up, down, scaled, gap)
             )

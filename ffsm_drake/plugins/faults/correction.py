@@ -35,10 +35,13 @@ class Correction(Known):
         """Write the measured state, without lost sensors and biases, into ``seen`` of the memory;
         ``seen`` is the one before.
         """
-        nq, nv = self._nq, self._nv
+        nq, nv, old = self._nq, self._nv, self._old(new)
+        if not (old.any() or memory.codes[self._of_sensors].any()):
+            memory.seen[:] = raw
+            return
         off = self._of_base(matrix_of(seen[:4]), memory.off)
         q, v = moved(raw[:nq], -off[:nv]), raw[nq:] - off[nv:]
-        lost, old = self._lost(memory.codes), self._old(new)
+        lost = self._lost(memory.codes)
         v = np.where(old[nv:], seen[nq:] + expected, v)
         if lost[nv:].any():
             before, speed = np.split(memory.observed, [nq])
@@ -64,8 +67,9 @@ class Correction(Known):
     def _lost(self, codes: np.ndarray) -> np.ndarray:
         """Mask of the measurements (2 nv) that are replaced."""
         lost = np.zeros(2 * self._nv, dtype=bool)
-        for name, entries in self._sensors.items():
-            if codes[self._unit(name)] in (CODE["frozen"], CODE["silent"]):
+        for index in np.flatnonzero(codes[self._of_sensors]).tolist():
+            entries = self._sensor_entries[index]
+            if codes[self._of_sensors[index]] in (CODE["frozen"], CODE["silent"]):
                 lost[entries] = self._is_prompt[entries]
         return lost
 

@@ -70,13 +70,11 @@ def _agreed(
     memory.agreed[:] = looks, unit, now
     if looks < _LOOKS:
         return None
-    of = [each for _, each in votes.values() if each.best == unit]
-    kind = ""
-    if of:  # windows that began before the fault see a part of it
-        clearest = max(of, key=lambda each: each.share)
-        whole, some = (STUCK_ON, LEAKING) if clearest.gives_more else (STUCK_OFF, WEAK)
-        kind = (whole if clearest.share > WHOLE else some).name
-    return Found(units=np.array([unit]), kind=kind)
+    # windows that began before the fault see a part of it
+    clearest = max((each for _, each in votes.values()), key=lambda each: float(each.share[unit]))
+    whole, some = (STUCK_ON, LEAKING) if clearest.gives_more[unit] else (STUCK_OFF, WEAK)
+    kind = whole if clearest.share[unit] > WHOLE else some
+    return Found(units=np.array([unit]), kind=kind.name)
 
 
 def _doubted(memory: Memory, all_name: np.ndarray, named: np.ndarray) -> Found | None:

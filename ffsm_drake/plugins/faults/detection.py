@@ -106,6 +106,9 @@ def _turns(run: View) -> dict[str, np.ndarray]:
     return dict(sorted(found.items(), key=lambda item: item[1][0]))
 
 
+_NONE = np.zeros(0)
+
+
 class Detector(ForceWatch, Sampled):
     """Inputs: those of the block; of actuators ``told_force`` (nv), and, where they have them,
     ``gyroscopic_force`` (nv), ``told_units`` and ``wheel_momentum``. Outputs: the block's,
@@ -132,7 +135,7 @@ class Detector(ForceWatch, Sampled):
         size = self._nq + self._nv
         found = {
             "estimated_state": size, IS_NEW: size * self._may_be_old,
-            "fault_detected": len(self._names), "abort_request": 1, "isolated": self._num_units,
+            "fault_detected": len(self.units), "abort_request": 1, "isolated": self._num_units,
         }  # fmt: skip
         return {name: number for name, number in found.items() if number}
 
@@ -146,12 +149,11 @@ class Detector(ForceWatch, Sampled):
 
     def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
         """See Sampled."""
-        before, shapes = memory["codes"], self._shapes
-        copied = {
-            name: (np.asarray if name in REPLACED else np.array)(memory.get(name, ()))
-            for name in shapes
-        }
-        after = Memory(**{name: values.reshape(shapes[name]) for name, values in copied.items()})
+        before, after = memory["codes"], Memory()
+        for name, shape in self._shapes.items():
+            values = memory.get(name, _NONE)
+            values = values if name in REPLACED else values.copy()
+            setattr(after, name, values if len(shape) == 1 else values.reshape(shape))
         self._look_at(after, inputs)
         outputs = {
             "estimated_state": after.seen.copy(), "fault_detected": before,
@@ -174,14 +176,13 @@ class Detector(ForceWatch, Sampled):
             self._forget(memory)
             self._begin(memory)
             memory.samples = 0.0
-        changes = self._changes(seen, np.column_stack([force, self._pushes(seen)]))
-        expected = self._step * changes[:, 0] * (not is_first)
+        expected = self._step * self._accelerations(seen, force) * (not is_first)
         new = inputs.get(IS_NEW)
         self._correct(memory, raw, seen, expected, new, is_first=is_first)
         if not is_first:
             self._look_at_sensors(memory, raw, seen, new)
         memory.raw[:] = raw
-        if not is_first and self._collect(memory, seen, expected, changes[:, 1:]):
+        if not is_first and self._collect(memory, seen, expected):
             self._look_at_blocks(memory)
 
     def _acting(self, memory: Memory, inputs: Arrays) -> np.ndarray:
@@ -206,4 +207,5 @@ class Detector(ForceWatch, Sampled):
 
 def _flat(memory: Arrays) -> Arrays:
     """Vectors, without empty ones."""
-    return {name: np.ravel(values) for name, values in memory.items() if np.size(values)}
+    arrays = ((name, np.asarray(values)) for name, values in memory.items())
+    return {name: values.reshape(-1) for name, values in arrays if values.size}

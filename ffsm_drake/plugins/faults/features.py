@@ -11,16 +11,17 @@ commanded force of a thruster shows a missing force in full.
 """
 
 import dataclasses
-from typing import Self
+from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 
 from ffsm_drake.plugins.faults.payload_error import force_by_errors
-from ffsm_drake.plugins.faults.windows import times_of
+from ffsm_drake.plugins.faults.windows import slope_weights
 
 WINDOWS = (4, 8, 16, 32, 64)  # blocks of slopes
 FIRED = (4, 16, 64)  # blocks of means that are weighted by the force of a thruster
-_FIRST = 13  # blocks from which on there are features
+FIRST = 13  # blocks from which on there are features
 _MODEL, _TURN = 0.004, 0.1  # error of the model, of accelerations: least; for each rad of motion
 _MORE, _FORCE = 1.03, 1e-3  # of the bounds of forces: share, N m or N
 _FREE = 200.0  # N m or N, any force on the base
@@ -37,26 +38,20 @@ class Features:
     matrix: np.ndarray  # A (F, nv, nv + 10, or nv without a payload), of d and p in their bounds
     low: np.ndarray  # (F, nv + 10)
     high: np.ndarray  # (F, nv + 10)
+    forces: np.ndarray  # (F, nv, nv) inverse of A's part of d
     white: np.ndarray  # W (F, nv, nv)
     pushes: np.ndarray  # (F, nv, n) generalized force of a unit force of each thruster
     told: np.ndarray  # (F, n) mean commanded force of each thruster, N
 
-    def of(self, which: np.ndarray) -> Self:
-        """Those at places, or of a mask."""
-        values = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
-        return dataclasses.replace(self, **{name: of[which] for name, of in values.items()})
-
     def at_most(self, errors: np.ndarray) -> np.ndarray:
-        """A sum of squares (F) that normal causes leave at most, with a payload.
+        """A sum of squares (F) that normal causes leave at most, with one of k payloads.
 
-        Args: its errors (10), as shares of half their intervals; without a payload, (0).
+        Args: their errors (10, k), as shares of half their intervals; without a payload, (0, k).
         """
         nv = self.y.shape[1]
-        inside = self.matrix[:, :, :nv]
-        left = self.y - self.matrix[:, :, nv:] @ errors
-        share = np.linalg.solve(inside, left[..., None])[..., 0]
-        beyond = share - np.clip(share, -1.0, 1.0)
-        squares: np.ndarray = (np.einsum("fij,fj->fi", inside, beyond) ** 2).sum(axis=1)
+        share = self.forces @ (self.y[:, :, None] - self.matrix[:, :, nv:] @ errors)
+        beyond = self.matrix[:, :, :nv] @ (share - np.clip(share, -1.0, 1.0))
+        squares: np.ndarray = (beyond**2).sum(axis=1).min(axis=1)
         return squares
 
 
@@ -81,18 +76,12 @@ def slopes(
     Args: of blocks, unexplained changes and velocities (m, nv), impulses (m, n), each summed up;
     the noise (nv) of a velocity's mean over a block.
     """
-    windows = [each for each in WINDOWS if max(each, _FIRST) <= len(left)]
-    found = list[tuple[np.ndarray, ...]]()
-    for count in windows:
-        time = times_of(count, step)
-        weights = time / (time @ time)
-        means = (weights @ each[-count:] for each in (left, velocity, told))
-        found.append((*means, noise / np.sqrt(time @ time)))
-    stacked = [np.array(each) for each in zip(*found, strict=True)]
-    whole, is_slope = np.array(windows), np.ones(len(windows), dtype=bool)
+    windows = np.array([each for each in WINDOWS if max(each, FIRST) <= len(left)], dtype=int)
+    weights = slope_weights(tuple(windows.tolist()), len(left), step)
     return Means(
-        window=whole, is_slope=is_slope, middle=whole // 2,
-        unexplained=stacked[0], acceleration=stacked[1], told=stacked[2], noise=stacked[3],
+        window=windows, is_slope=np.ones(len(windows), dtype=bool), middle=windows // 2,
+        unexplained=weights @ left, acceleration=weights @ velocity, told=weights @ told,
+        noise=np.linalg.norm(weights, axis=1)[:, None] * noise,
     )  # fmt: skip
 
 
@@ -100,32 +89,31 @@ def fired(sums: np.ndarray, force: np.ndarray, noise: np.ndarray, step: float) -
     """Means weighted by the commanded force of each thruster that fired in ``FIRED`` blocks.
 
     Args:
-      sums: of the samples of each of m blocks (m, n, n + 2 nv + 1): commanded force times the
-        forces of all, unexplained and expected acceleration; and the square of its change.
+      sums: of the samples of each of m blocks (m, n, n + 2 nv + 2): commanded force times the
+        forces of all, unexplained and expected acceleration, and 1; and the square of its change.
       force: of the thrusters (n), N.
       noise: of a sample of the velocities (nv).
       step: control period, s.
     """
     count, nv = len(force), noise.size
-    found = list[tuple[np.ndarray, ...]]()
-    total = sums[:, :, -2]
-    for window in (each for each in FIRED if max(each, _FIRST) <= len(sums)):
+    parts = list[tuple[np.ndarray, ...]]()
+    for window in (each for each in FIRED if max(each, FIRST) <= len(sums)):
         of = sums[-window:].sum(axis=0)
-        for i in np.flatnonzero(of[:, -2] >= 2.0 * force):
-            mean, share = of[i] / of[i, -2], total[-window:, i]
-            left, expected = mean[count : count + nv], mean[count + nv : count + 2 * nv]
-            rough = np.sqrt(of[i, -1] + 2.0 * force[i] ** 2) / of[i, -2] / step
-            back = share @ np.arange(window)[::-1] / share.sum()
-            row = (np.array(window), np.array(round(back + 0.4)), left, left + expected)
-            found.append((*row, noise * rough, mean[:count]))
-    if found:
-        arrays = [np.array(each) for each in zip(*found, strict=True)]
-    else:
-        none, empty = np.zeros((0, nv)), np.zeros(0, dtype=int)
-        arrays = [empty, empty, none, none, none, np.zeros((0, count))]
+        which = np.flatnonzero(of[:, -2] >= 2.0 * force)
+        total = of[which, -2]
+        back = np.arange(window)[::-1] @ sums[-window:, which, -2] / total
+        rough = np.sqrt(of[which, -1] + 2.0 * force[which] ** 2) / total / step
+        middle = np.round(back + 0.4).astype(int)
+        parts.append((np.full(len(which), window), middle, of[which] / total[:, None], rough))
+    if not parts:
+        none = np.zeros(0, dtype=int)
+        parts.append((none, none, np.zeros((0, count + 2 * nv + 2)), np.zeros(0)))
+    windows, middles, means, roughs = (np.concatenate(each) for each in zip(*parts, strict=True))
+    left, expected = means[:, count : count + nv], means[:, count + nv : count + 2 * nv]
     return Means(
-        window=arrays[0], is_slope=np.zeros(len(arrays[0]), dtype=bool), middle=arrays[1],
-        unexplained=arrays[2], acceleration=arrays[3], noise=arrays[4], told=arrays[5],
+        window=windows, is_slope=np.zeros(len(windows), dtype=bool), middle=middles,
+        unexplained=left, acceleration=left + expected, told=means[:, :count],
+        noise=roughs[:, None] * noise,
     )  # fmt: skip
 
 
@@ -134,42 +122,56 @@ class Places:
     """What each feature's middle tells (F, ...)."""
 
     mass: np.ndarray  # (F, nv, nv)
+    inverse: np.ndarray  # of it
     bound: np.ndarray  # (F, nv) of normal forces
     velocity: np.ndarray  # (F, nv)
-    payload: np.ndarray  # (F, 6 nv + 15) as ``payload_error.place``; (F, 0) without a payload
+    payload: np.ndarray  # (F, 6 nv + 6) as ``payload_error.place``; (F, 0) without a payload
     pushes: np.ndarray  # (F, nv, n)
     panels: np.ndarray  # (F, 6) largest force of flexible parts on the base
     turned: np.ndarray  # (F) largest motion of a joint or the base in the window, rad or m
 
 
 def whitened(
-    means: Means, at: Places, box: tuple[np.ndarray, np.ndarray], *, is_free: bool
+    means: Means, at: Places, box: tuple[np.ndarray, np.ndarray], is_free: np.ndarray
 ) -> Features:
-    """The features of means, with a box of the payload's errors (two of 10)."""
-    inverse = np.linalg.inv(at.mass)
+    """The features of means, with a box of the payload's errors (two of 10).
+
+    Args: also whether any force on the base is normal (F).
+    """
     bound = _MORE * at.bound + _FORCE
     share = (_MODEL + _TURN * at.turned)[:, None]
-    largest = np.sqrt(np.einsum("fij,fj->fi", inverse**2, bound**2))
+    largest = np.sqrt((at.inverse**2 @ bound[..., None] ** 2)[..., 0])
     deviation = np.hypot(means.noise, share * (largest + np.abs(means.unexplained)))
-    bound[:, :6] = _FREE if is_free else bound[:, :6] + at.panels
-    white = inverse / deviation[:, :, None]
-    parts, ones = [white * bound[:, None]], np.ones_like(bound)
-    lows, highs = [-ones], [ones]
+    bound[:, :6] = np.where(is_free[:, None], _FREE, bound[:, :6] + at.panels)
+    white = at.inverse / deviation[:, :, None]
+    matrix, high = white * bound[:, None], np.ones_like(bound)
+    low = -high
     if at.payload.size:
         by_errors = force_by_errors(at.payload, at.velocity, means.acceleration)
         scale = 0.5 * (box[1] - box[0])
-        parts.append(-white @ by_errors * scale)
-        lows.append(np.tile(box[0] / scale, (len(bound), 1)))
-        highs.append(np.tile(box[1] / scale, (len(bound), 1)))
+        matrix = np.concatenate([matrix, -white @ (by_errors * scale)], axis=2)
+        low, high = (
+            np.hstack([own, np.tile(of / scale, (len(own), 1))])
+            for own, of in zip((low, high), box, strict=True)
+        )
     return Features(
-        window=means.window, is_slope=means.is_slope,
-        is_free=np.full(len(bound), is_free), y=means.unexplained / deviation,
-        matrix=np.concatenate(parts, axis=2), white=white, pushes=at.pushes, told=means.told,
-        low=np.concatenate(lows, axis=1), high=np.concatenate(highs, axis=1),
+        window=means.window, is_slope=means.is_slope, is_free=is_free,
+        y=means.unexplained / deviation, matrix=matrix, low=low, high=high,
+        forces=at.mass * deviation[:, None] / bound[:, :, None], white=white,
+        pushes=at.pushes, told=means.told,
     )  # fmt: skip
 
 
-def joined(*parts: Features) -> Features:
-    """All features of parts."""
-    names = [each.name for each in dataclasses.fields(Features)]
-    return Features(**{n: np.concatenate([getattr(each, n) for each in parts]) for n in names})
+Rows = TypeVar("Rows", Features, Means, Places)
+
+
+def rows_of(of: Rows, which: np.ndarray) -> Rows:
+    """Those at places, or of a mask."""
+    values = {each.name: getattr(of, each.name)[which] for each in dataclasses.fields(of)}
+    return dataclasses.replace(of, **values)
+
+
+def joined(parts: Sequence[Means]) -> Means:
+    """All of them."""
+    names = [each.name for each in dataclasses.fields(Means)]
+    return Means(**{n: np.concatenate([getattr(each, n) for each in parts]) for n in names})

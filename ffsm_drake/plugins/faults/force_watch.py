@@ -17,15 +17,12 @@ class ForceWatch(MotionWatch):
     essential to the allocation, raises ``abort_request``.
     """
 
-    def _collect(
-        self, memory: Memory, before: np.ndarray, expected: np.ndarray, pushes: np.ndarray
-    ) -> bool:
+    def _collect(self, memory: Memory, before: np.ndarray, expected: np.ndarray) -> bool:
         """Sums of what is unexplained, in blocks; whether one ends."""
         nq, now = self._nq, memory.seen
         left = now[nq:] - before[nq:] - expected
         count = memory.samples = memory.samples + 1.0
-        bound = self._settings.threshold * np.sqrt(memory.rough)
-        bound += self._step * np.abs(pushes) @ self._force
+        bound = self._settings.threshold * np.sqrt(memory.rough) + memory.reach
         known = np.clip(left, -bound, bound) if count > LEARNT else left
         # a velocity that jumps begins a new window of its sensor
         jumps = float((known != left).any())
@@ -58,11 +55,13 @@ class ForceWatch(MotionWatch):
         # an unpredictable motion allows no further detection
         if memory.abort_request or memory.samples < LEARNT:
             return
+        slips = self._slips(memory)
         if memory.looks >= OLD:
-            for window in (each for each in WINDOWS if each <= valid):
-                self._look_at_velocities(memory, kept[-window:])
+            for window, off, deviation in zip(WINDOWS, *slips, strict=True):
+                if window <= valid:
+                    self._look_at_velocities(memory, off, deviation)
         if self._sees_forces:
-            self._look_at_forces(memory)
+            self._look_at_forces(memory, slips)
 
     def _look_at_wheels(self, memory: Memory, valid: int) -> None:
         """Report stopped wheels."""

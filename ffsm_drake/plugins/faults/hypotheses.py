@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 
 from ffsm_drake.plugins.faults.box_squares import least_squares
-from ffsm_drake.plugins.faults.features import Features
+from ffsm_drake.plugins.faults.features import Features, rows_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 
 ALARM = 30.0  # squares of deviations that normal causes do not leave
@@ -104,8 +104,8 @@ class Vote:
     """What the features of a window say on each unit."""
 
     best: int  # unit that leaves the least squares
-    gives_more: bool  # whether a thruster that is the best gives too much
-    share: float  # of its force that is missing or too much
+    gives_more: np.ndarray  # (units) whether a thruster gives too much, rather than too little
+    share: np.ndarray  # (units) of its force that is missing or too much
     worse: np.ndarray  # (units) squares that each leaves beyond the best; infinite: not examined
     total: float  # squares without a fault
 
@@ -123,8 +123,8 @@ def vote(of: Features, squares: np.ndarray, force: np.ndarray, among: Hypotheses
     if not order.size:
         return None
     slope = np.flatnonzero(of.is_slope)
-    stack = of.of(np.concatenate([order, slope[~np.isin(slope, order)]]))
-    left, _ = among.squares(of.of(order[:1]), force)
+    stack = rows_of(of, np.concatenate([order, slope[~np.isin(slope, order)]]))
+    left, _ = among.squares(rows_of(of, order[:1]), force)
     if left[1:].min(initial=np.inf) > max(_MOST * np.sqrt(len(stack.y)), _REST * squares.sum()):
         return None
     left = left.copy()
@@ -143,7 +143,9 @@ def vote(of: Features, squares: np.ndarray, force: np.ndarray, among: Hypotheses
     units = among.units(joints)
     worse = np.full(joints + len(force), np.inf)
     np.minimum.at(worse, units[1:], np.maximum(left[1:] - least - RELATIVE * total, 0.0))
+    gives_more, shares = np.zeros(worse.size, dtype=bool), np.zeros(worse.size)
+    better = 1 + np.argsort(-left[1:], kind="stable")  # the last one stays
+    gives_more[units[better]], shares[units[better]] = among.gives_more[better], share[better]
     return Vote(
-        best=int(units[best]), gives_more=bool(among.gives_more[best]),
-        share=float(share[best]), worse=worse, total=total,
-    )  # fmt: skip
+        best=int(units[best]), gives_more=gives_more, share=shares, worse=worse, total=total
+    )

@@ -4,6 +4,7 @@ import itertools
 from types import SimpleNamespace
 
 import numpy as np
+from pydrake.multibody.tree import Frame
 
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.actuators.base import LOST, STUCK_ON
@@ -17,10 +18,16 @@ from ffsm_drake.plugins.faults.bounds import Bounds
 from ffsm_drake.plugins.faults.features import WINDOWS as FORCE_WINDOWS
 from ffsm_drake.plugins.faults.jam import JAMMED
 from ffsm_drake.plugins.faults.panels import AGO, SIZE, SPANS
-from ffsm_drake.plugins.faults.sensors import SENSOR_FAULTS, reports_losses, sensors_of
+from ffsm_drake.plugins.faults.sensors import (
+    SENSOR_FAULTS,
+    entries_in_state,
+    reports_losses,
+    sensors_of,
+)
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import damping_of
+from ffsm_drake.spacecraft.plant import find_frame
 from ffsm_drake.systems.sensing.errors import measurement_times
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -60,7 +67,8 @@ class Memory(SimpleNamespace):
     velocity ``was_off``. Of forces, ``kept`` blocks of ``sums``, the last ``part`` of one, and how
     many ``blocks`` form a window of sensors, or a ``span`` of forces, in blocks of the ``clock``;
     ``fired`` blocks of ``firing`` sums, weighted by forces, which were ``fires`` a sample before;
-    ``frames``: models at ends of blocks; ``rough``: mean square of unexplained changes; ``grown``
+    ``frames``: models at ends of blocks; ``rough``: mean square of unexplained changes; ``reach``:
+    largest changes by thrusters; ``grown``
     forces of flexible parts, for ``grows`` blocks; ``errors`` of the payload that explained blocks.
     Of decisions: squares ``against`` each unit, when windows ``voted`` last, the unit that
     ``agreed``, units that are ``doubted``, and for how many blocks there were ``tries``. ``told``
@@ -77,14 +85,17 @@ class Known:
         assert scenario.faults is not None
         assert scenario.faults.detection is not None
         self._settings, self._step = scenario.faults.detection, setup.sample_time
-        self._model, self._names = setup.nominal, units_of(scenario, coordinates)
+        self._model, self.units = setup.nominal, units_of(scenario, coordinates)
         self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)
         # the nominal payload changes at a grasp
         held = setup.grip.carried(scenario.payload).nominal
         self._leg = float(held.mass)
         factor = self._settings.payload_factor if setup.grip.holds else 1.0
         self._box, self._is_loaded = payload_error.intervals(held, factor), held.mass > 0.0
-        self._payload = scenario.payload.body, np.array(held.center_of_mass, dtype=float)
+        self._payload: tuple[Frame, np.ndarray] | None = None
+        if self._is_loaded:
+            frame = find_frame(self._model.plant, scenario.payload.body, key="payload.body")
+            self._payload = frame, np.array(held.center_of_mass, dtype=float)
         self._damping = damping_of(self._model.plant)
         self._is_flexible = bool(scenario.model.flexible)
         actuation = allocated(scenario)
@@ -104,6 +115,13 @@ class Known:
     def _read_sensors(self, scenario: Scenario, coordinates: Coordinates) -> None:
         """Read the sensors' properties: update pattern and noise."""
         self._sensors = sensors_of(coordinates)
+        self._sensor_names = tuple(self._sensors)
+        self._sensor_entries = tuple(self._sensors.values())
+        self._of_sensors = np.array([self._unit(name) for name in self._sensors])
+        # a sensor's entries, and its columns of the state, follow those of the one before
+        self._widths = np.array([len(each) for each in self._sensor_entries])
+        self._entries = np.array([each[0] for each in self._sensor_entries])
+        self._columns = np.array([entries_in_state(each)[0] for each in self._sensor_entries])
         period, delay = measurement_times(scenario.sensing, coordinates)
         self._is_prompt = (period == 1) & (delay == 0)
         self._patience = 3 * period + delay  # control samples without anything new
@@ -119,20 +137,27 @@ class Known:
         self._is_fine = np.concatenate(quantized) == 0.0
         self._position_noise = self._position_noise + quantized[0]
         self._velocity_noise = self._velocity_noise + quantized[1]
+        are_exact = self._is_prompt & self._is_fine
+        self._are_prompt = np.logical_and.reduceat(self._is_prompt, self._entries)
+        self._is_exact = np.logical_and.reduceat(are_exact, self._entries)
+        self._least_patience = self._patience[self._entries]
         self._may_be_old = reports_losses(scenario) or bool((period > 1).any())
         self._sees_forces = bool(self._is_prompt.all())
 
     def _lay_out(self) -> None:
         nv, base, size = self._nv, self._base, self._nq + self._nv
+        self._joints = tuple(self._model.coordinates.joints)
         self._thrusters, self._wheels = (
             (None, None) if base is None else (base.thrusters, base.wheels)
         )
+        of_joints = [self.units.index(f"joints.{name}") for name in self._joints]
+        self._of_joints = np.array(of_joints, dtype=int)
         self._force = np.zeros(0) if self._thrusters is None else self._thrusters.force
         self._num_units = 0 if base is None else len(base.units)
         self._num_wheels = self._num_units - len(self._force)
         # columns of a block: unexplained velocities, slips, motions, velocities, impulses of
         # thrusters, commanded impulses as wheels see them, momenta that wheels did not take
-        count, self._joints = len(self._force), tuple(self._model.coordinates.joints)
+        count = len(self._force)
         widths = {"left": nv, "slip": nv, "moved": nv, "velocity": nv, "impulse": count}
         widths |= {"told": self._num_units, "beyond": self._num_wheels}
         ends = np.cumsum([0, *widths.values()]).tolist()
@@ -141,16 +166,16 @@ class Known:
         }
         of_sensors = ("leg", "samples", "blocks", "looks", "abort_request", "jumped")
         of_forces = ("span", "clock", "tries", "was_off")
-        frame = nv * (nv + 1 + count) + 6 * nv + 15
+        frame = nv * (2 * nv + 1 + count) + 6 * nv + 6
         firing, units = count * (count + 2 * nv + 2), len(self._joints) + count
         rows = 2 * len(FORCE_WINDOWS)
         self._shapes: dict[str, tuple[int, ...]] = {
             **dict.fromkeys((*of_sensors, *of_forces), ()),
             **dict.fromkeys(("raw", "seen", "stale", "observed"), (size,)),
             **dict.fromkeys(("off", "since"), (2 * nv,)),
-            **dict.fromkeys(("jitter", "rough", "slope", "acceleration"), (nv,)),
+            **dict.fromkeys(("jitter", "rough", "slope", "acceleration", "reach"), (nv,)),
             **dict.fromkeys(("sums", "part"), (ends[-1],)),
-            "codes": (len(self._names),), "repeats": (len(self._sensors),),
+            "codes": (len(self.units),), "repeats": (len(self._sensors),),
             "told": (self._num_units,), "momentum": (self._num_wheels,), "kept": (SPAN, ends[-1]),
             "frames": (SPAN, frame), "firing": (firing,), "fired": (SPAN, firing),
             "fires": (count,), "against": (rows, units), "voted": (rows,), "agreed": (3,),
@@ -160,7 +185,7 @@ class Known:
         }  # fmt: skip
 
     def _unit(self, sensor: str) -> int:
-        return self._names.index(f"sensing.{sensor}")
+        return self.units.index(f"sensing.{sensor}")
 
     def _isolated(self, codes: np.ndarray) -> np.ndarray:
         """Codes for the actuators (units)."""
@@ -171,15 +196,12 @@ class Known:
             told[codes[: told.size] == CODE["leaking"]] = 0.0
         return told
 
-    def _changes(self, state: np.ndarray, forces: np.ndarray) -> np.ndarray:
-        """Accelerations (nv, n) under generalized forces (nv, n), of which all but the first act
-        alone.
-        """
+    def _accelerations(self, state: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Accelerations (nv) under a generalized force (nv)."""
         q, v = np.split(state, [self._nq])
-        forces = forces.copy()
-        forces[:, 0] -= self._model.calc_bias(q, v)
-        changes: np.ndarray = np.linalg.solve(self._model.calc_mass_matrix(q), forces)
-        return changes
+        force = force - self._model.calc_bias(q, v)
+        found: np.ndarray = np.linalg.solve(self._model.calc_mass_matrix(q), force)
+        return found
 
     def _pushes(self, state: np.ndarray) -> np.ndarray:
         """Generalized forces (nv, n) of unit forces of thrusters."""

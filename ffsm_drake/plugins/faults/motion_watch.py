@@ -9,22 +9,22 @@ import numpy as np
 from ffsm_drake.plugins.faults import features
 from ffsm_drake.plugins.faults.box_squares import least_squares
 from ffsm_drake.plugins.faults.decision import Found, decided
-from ffsm_drake.plugins.faults.features import WINDOWS, Features, Means, Places
+from ffsm_drake.plugins.faults.features import WINDOWS, Features, Means, Places, rows_of
 from ffsm_drake.plugins.faults.hypotheses import ALARM, Hypotheses, Vote, vote
 from ffsm_drake.plugins.faults.jam import JAMMED
 from ffsm_drake.plugins.faults.known import CODE, EVERY, SPAN, SUSPECTED, Memory
+from ffsm_drake.plugins.faults.known import WINDOWS as SENSOR_WINDOWS
 from ffsm_drake.plugins.faults.panels import SIZE as PANELS
 from ffsm_drake.plugins.faults.panels import PanelBound
 from ffsm_drake.plugins.faults.payload_error import place
-from ffsm_drake.plugins.faults.sensor_watch import SensorWatch
+from ffsm_drake.plugins.faults.sensor_watch import SLOPE, SensorWatch, Slips
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 
 _STILL, _NOISES = 2e-5, 6.0  # rad or m; deviations of noise that a joint at rest seems to move
 _AT_REST = 3  # blocks
-_FIRST = 13  # blocks
 _PATIENCE, _BURST, _PERIOD = 60, 4, 20  # blocks with evidence; then so many of each period
 _NOISE = 1e-9  # rad/s or m/s, least noise
-_OFF = (8, 24)  # blocks
+_OFF = SENSOR_WINDOWS[:2]  # blocks of velocities that must agree with their positions
 
 
 class MotionWatch(SensorWatch):
@@ -49,21 +49,26 @@ class MotionWatch(SensorWatch):
         memory.clock += 1.0
         state = memory.seen
         mass = np.array(self._model.calc_mass_matrix(state[: self._nq]))
-        payload = np.zeros(6 * self._nv + 15)
-        if self._is_loaded:
+        inverse, pushes = np.linalg.inv(mass), self._pushes(state)
+        payload = np.zeros(6 * self._nv + 6)
+        if self._payload is not None:
             payload = place(self._model, *self._payload, state)
         bound = self._bounds.of_force(mass, state)
-        row = np.concatenate([mass.ravel(), bound, self._pushes(state).ravel(), payload])
-        memory.frames = np.vstack([memory.frames[1:], row])
+        row = [each.ravel() for each in (mass, inverse, bound, pushes, payload)]
+        memory.frames = np.vstack([memory.frames[1:], np.concatenate(row)])
+        memory.reach = self._step * np.abs(inverse @ pushes) @ self._force
 
-    def _look_at_forces(self, memory: Memory) -> None:
-        """Report a fault that the last blocks show."""
+    def _look_at_forces(self, memory: Memory, slips: Slips) -> None:
+        """Report a fault that the last blocks show; without evidence, each second block looks."""
         span = int(min(memory.span, SPAN))
         panels = self._panels(memory, span) if self._is_flexible else None
-        if span < _FIRST:
+        if span < features.FIRST:
             return
-        was_off, memory.was_off = memory.was_off, float(self._are_any_off(memory, span))
-        if was_off or memory.was_off:
+        # a velocity that differs from the slope of its position cannot reveal forces
+        off, deviation = (of[: sum(each <= span for each in _OFF)] for of in slips)
+        is_off = bool((np.abs(off) > SLOPE + 4.0 * deviation).any())
+        was_off, memory.was_off = memory.was_off, float(is_off)
+        if was_off or is_off or (not memory.tries and int(memory.clock) % 2):
             return
         if memory.tries > _PATIENCE and int(memory.clock) % _PERIOD >= _BURST:
             return
@@ -71,11 +76,6 @@ class MotionWatch(SensorWatch):
         memory.tries = memory.tries + 1.0 if votes is not None else 0.0
         if votes and (found := decided(votes, memory, self._possible(memory), memory.clock)):
             self._report(memory, found)
-
-    def _are_any_off(self, memory: Memory, span: int) -> bool:
-        """Whether a velocity differs from the slope of its position."""
-        counts = [each for each in _OFF if each <= span]
-        return any(self._are_velocities_off(memory, memory.kept[-each:]) for each in counts)
 
     def _panels(self, memory: Memory, span: int) -> PanelBound:
         """The bound of the force of flexible parts, brought up to date."""
@@ -86,64 +86,58 @@ class MotionWatch(SensorWatch):
         panels.update(left, mass, noise, EVERY * self._step)
         return panels
 
-    def _means(self, memory: Memory, span: int) -> list[Means]:
+    def _means(self, memory: Memory, span: int) -> Means:
         """Slopes, then means that are weighted by forces."""
         kept, count = memory.kept[-span:], len(self._force)
         noise = np.maximum(self._velocity_noise, _NOISE)
-        left, velocity, impulse = (
-            kept[:, self._at[name]] for name in ("left", "velocity", "impulse")
-        )
         of_block = noise / np.sqrt(EVERY)
-        found = [features.slopes(left, velocity, impulse, of_block, EVERY * self._step)]
+        left, velocity, told = (kept[:, self._at[name]] for name in ("left", "velocity", "impulse"))
+        found = [features.slopes(left, velocity, told, of_block, EVERY * self._step)]
         if count:
             sums = memory.fired[-span:].reshape(span, count, -1)
             found.append(features.fired(sums, self._force, noise, self._step))
-        return found
+        return features.joined(found)
 
-    def _frames(self, memory: Memory, means: list[Means]) -> list[Places]:
+    def _places(self, memory: Memory, means: Means, panels: PanelBound | None) -> Places:
         """What the middles of windows tell."""
-        nv, count, found = self._nv, len(self._force), list[Places]()
-        ends = np.cumsum([nv * nv, nv, nv * count])
+        nv, count, middle = self._nv, len(self._force), -1 - means.middle
+        ends = np.cumsum([nv * nv, nv * nv, nv, nv * count])
+        mass, inverse, bound, pushes, payload = np.split(memory.frames[middle], ends, axis=1)
         moved = memory.kept[:, self._at["moved"]]
-        turns = np.delete(np.arange(nv), [3, 4, 5])
-        for each in means:
-            mass, bound, pushes, payload = np.split(memory.frames[-1 - each.middle], ends, axis=1)
-            of_places = Places(
-                mass=mass.reshape(-1, nv, nv),
-                bound=bound,
-                velocity=memory.kept[-1 - each.middle][:, self._at["velocity"]],
-                payload=payload[:, : payload.shape[1] * self._is_loaded],
-                pushes=pushes.reshape(len(pushes), nv, count),
-                panels=np.zeros((len(mass), PANELS)),
-                turned=np.abs(moved[-1] - moved[-each.window])[:, turns].max(axis=1, initial=0.0),
-            )
-            found.append(of_places)
-        return found
+        turns = np.abs(moved[-1] - moved[-means.window])
+        turns[:, 3:NUM_BASE_VELOCITIES] = 0.0
+        of_panels = np.zeros((len(mass), PANELS))
+        if panels is not None:
+            pairs = zip(means.window.tolist(), means.is_slope.tolist(), strict=True)
+            of_panels[:] = [panels.of(window, is_slope=is_slope) for window, is_slope in pairs]
+        return Places(
+            mass=mass.reshape(-1, nv, nv), inverse=inverse.reshape(-1, nv, nv), bound=bound,
+            velocity=memory.kept[middle, self._at["velocity"]],
+            payload=payload[:, : payload.shape[1] * self._is_loaded],
+            pushes=pushes.reshape(len(mass), nv, count), panels=of_panels, turned=turns.max(axis=1),
+        )  # fmt: skip
 
     def _votes(
-        self, memory: Memory, means: list[Means], panels: PanelBound | None
+        self, memory: Memory, means: Means, panels: PanelBound | None
     ) -> dict[int, tuple[int, Vote]] | None:
         """Row of ``memory.against`` -> window and vote; None: there is no evidence."""
-        made = list[Features]()
-        for each, at in zip(means, self._frames(memory, means), strict=True):
-            if panels is not None:
-                for row, window in enumerate(each.window):
-                    of_panels = panels.of(int(window), is_slope=bool(each.is_slope[row]))
-                    at.panels[row] = of_panels
-            if len(each.window):
-                made.append(features.whitened(each, at, self._box, is_free=False))
-                # panels act on the base alone: a jam must show with any force on the base
-                if panels is not None and each.is_slope[0]:
-                    made.append(features.whitened(each, at, self._box, is_free=True))
-        all_of = features.joined(*made)
+        places = self._places(memory, means, panels)
+        is_free = np.zeros(len(means.window), dtype=bool)
+        if panels is not None:
+            # panels act on the base alone: a jam must show with any force on the base
+            slope = np.flatnonzero(means.is_slope)
+            rows = np.concatenate([np.arange(len(is_free)), slope])
+            means, places = rows_of(means, rows), rows_of(places, rows)
+            is_free = np.concatenate([is_free, np.ones(len(slope), dtype=bool)])
+        all_of = features.whitened(means, places, self._box, is_free)
         errors = memory.errors[: all_of.matrix.shape[2] - self._nv]
         # payloads that explained what was seen before: the nominal one, the last one
-        squares = np.minimum(all_of.at_most(0.0 * errors), all_of.at_most(errors))
+        squares = all_of.at_most(np.column_stack([0.0 * errors, errors]))
         looks = np.flatnonzero(squares > ALARM)
         if not looks.size:
             return None
-        of = all_of.of(looks)
-        squares[looks], unknowns = least_squares(of.matrix, of.y, of.low, of.high)
+        of = rows_of(all_of, looks)
+        squares[looks], unknowns = least_squares(of.matrix, of.y, of.low, of.high, ALARM)
         if not (squares > ALARM).any():
             memory.errors[: errors.size] = unknowns[squares[looks].argmax(), self._nv :]
             return None
@@ -161,7 +155,7 @@ class MotionWatch(SensorWatch):
             if not (squares[which] > ALARM).any():
                 continue
             among = Hypotheses.of(joints, np.zeros(0, dtype=int) if is_free else thrusters)
-            found = vote(all_of.of(which), squares[which], self._force, among)
+            found = vote(rows_of(all_of, which), squares[which], self._force, among)
             is_joint = found is not None and found.best < len(self._joints)
             if found is None or (self._is_flexible and not is_free and is_joint):
                 continue
@@ -171,7 +165,7 @@ class MotionWatch(SensorWatch):
     def _in_use(self, memory: Memory) -> tuple[np.ndarray, np.ndarray]:
         """Indices of joints and thrusters without a known fault."""
         count = len(self._force)
-        jammed = self._jammed(memory.codes)[NUM_BASE_VELOCITIES:]
+        jammed = memory.codes[self._of_joints] > 0.0
         return np.flatnonzero(~jammed), np.flatnonzero(memory.codes[:count] == 0.0)
 
     def _possible(self, memory: Memory) -> np.ndarray:
@@ -186,7 +180,7 @@ class MotionWatch(SensorWatch):
         count = len(self._joints)
         for unit in found.units:
             is_joint = unit < count
-            name = f"joints.{self._joints[unit]}" if is_joint else self._names[unit - count]
+            name = f"joints.{self._joints[unit]}" if is_joint else self.units[unit - count]
             kind = JAMMED.name if is_joint else found.kind
             self._notice(memory, name, kind if len(found.units) == 1 else SUSPECTED)
         self._begin(memory)
@@ -199,7 +193,7 @@ class MotionWatch(SensorWatch):
         memory.tries = 0.0
 
     def _notice(self, memory: Memory, unit: str, kind: str) -> None:
-        index = self._names.index(unit)
+        index = self.units.index(unit)
         if memory.codes[index]:
             return
         memory.codes[index] = CODE[kind]

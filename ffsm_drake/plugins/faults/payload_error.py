@@ -5,17 +5,19 @@ It is linear in the errors of mass, first moment and inertia about the nominal c
 """
 
 import numpy as np
+from pydrake.multibody.tree import Frame
 
-from ffsm_drake.common.so3 import matrix_of
+from ffsm_drake.common.so3 import skew
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.spacecraft.nominal import PlantModel
 
 _OFF = 0.2  # uncertain share of the payload's radius of gyration (centre) and moments
 _WIDER = 0.25  # widening of the interval between light and heavy payloads, as a share of it
 _PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-_TENSORS = np.zeros((len(_PAIRS), 3, 3))
+_UNIT_INERTIAS = np.zeros((3, 3, len(_PAIRS)))  # rows, columns, pairs
 for _at, (_i, _j) in enumerate(_PAIRS):
-    _TENSORS[_at, _i, _j] = _TENSORS[_at, _j, _i] = 1.0
+    _UNIT_INERTIAS[_i, _j, _at] = _UNIT_INERTIAS[_j, _i, _at] = 1.0
+_CROSS = skew(np.eye(3)).reshape(3, 9)
 NUM_ERRORS = 4 + len(_PAIRS)
 
 
@@ -35,20 +37,19 @@ def intervals(held: MassProperties, factor: float) -> tuple[np.ndarray, np.ndarr
     return low, high
 
 
-def place(model: PlantModel, body: str, centre: np.ndarray, state: np.ndarray) -> np.ndarray:
-    """Jacobian (6 nv) and bias acceleration (6) of the centre of mass, and the rotation matrix (9)
-    of the payload, in a state (nq + nv) of the nominal model.
+def place(model: PlantModel, frame: Frame, centre: np.ndarray, state: np.ndarray) -> np.ndarray:
+    """Jacobian (6 nv) and bias acceleration (6) of the payload's centre of mass, in the axes of its
+    body, in a state (nq + nv) of the nominal model.
 
-    Args: also its body's name and its centre of mass (3) in that body's frame, m.
+    Args: also the body's frame and the centre of mass (3) in it, m.
     """
     q, v = np.split(state, [len(state) // 2 + 1])
-    jacobian = np.array(model.calc_jacobian(q, body))
-    bias = np.array(model.calc_bias_acceleration(q, v, body))
-    rotation = matrix_of(model.calc_frame_pose(q, body)[:4])
-    arm, turn = rotation @ centre, jacobian[:3] @ v
-    jacobian[3:] += np.cross(jacobian[:3].T, arm).T
-    bias[3:] += np.cross(bias[:3], arm) + np.cross(turn, np.cross(turn, arm))
-    return np.concatenate([jacobian.ravel(), bias, rotation.ravel()])
+    jacobian = model.calc_point_jacobian(q, frame, centre)
+    turn = _crossing(jacobian[:3] @ v)
+    rotation = model.calc_frame_rotation(q, frame)
+    bias = (model.calc_bias_acceleration(q, v, frame).reshape(2, 3) @ rotation).ravel()
+    bias[3:] += (_crossing(bias[:3]) + turn @ turn) @ centre
+    return np.concatenate([jacobian.ravel(), bias])
 
 
 def force_by_errors(
@@ -60,21 +61,20 @@ def force_by_errors(
     """
     nv = velocity.shape[1]
     jacobian = places[:, : 6 * nv].reshape(-1, 6, nv)
-    rotation = places[:, -9:].reshape(-1, 3, 3)
-    turn = np.einsum("nij,nj->ni", jacobian[:, :3], velocity)
-    moved = np.einsum("nij,nj->ni", jacobian, acceleration) + places[:, 6 * nv : -9]
-    spin, line = moved[:, :3], moved[:, 3:]
-    wrench = np.zeros((len(places), 6, NUM_ERRORS))
+    turn = (jacobian[:, :3] @ velocity[..., None])[..., 0]
+    moved = (jacobian @ acceleration[..., None])[..., 0] + places[:, 6 * nv :]
+    spin, line, turning = moved[:, :3], moved[:, 3:], _crossing(turn)
+    wrench = np.zeros((len(places), 6, NUM_ERRORS))  # torque and force
     wrench[:, 3:, 0] = line
-    axes = rotation.swapaxes(1, 2)  # (n, 3 axes, 3)
-    spins, turns = spin[:, None], turn[:, None]
-    wrench[:, 3:, 1:4] = (np.cross(spins, axes) + np.cross(turns, np.cross(turns, axes))).swapaxes(
-        1, 2
-    )
-    wrench[:, :3, 1:4] = np.cross(axes, line[:, None]).swapaxes(1, 2)
-    tensors = rotation[:, None] @ _TENSORS @ axes[:, None]  # (n, 6, 3, 3)
-    momentum = tensors @ turn[:, None, :, None]
-    torque = (tensors @ spin[:, None, :, None])[..., 0] + np.cross(turns, momentum[..., 0])
-    wrench[:, :3, 4:] = torque.swapaxes(1, 2)
-    forces: np.ndarray = np.einsum("nij,nik->njk", jacobian, wrench)
+    wrench[:, 3:, 1:4] = _crossing(spin) + turning @ turning
+    wrench[:, :3, 1:4] = -_crossing(line)
+    momenta = np.tensordot(np.stack([spin, turn]), _UNIT_INERTIAS, axes=1)
+    wrench[:, :3, 4:] = momenta[0] + turning @ momenta[1]
+    forces: np.ndarray = jacobian.swapaxes(1, 2) @ wrench
     return forces
+
+
+def _crossing(vectors: np.ndarray) -> np.ndarray:
+    """Matrices (..., 3, 3) of a x (.)."""
+    found: np.ndarray = (vectors @ _CROSS).reshape(*vectors.shape, 3)
+    return found

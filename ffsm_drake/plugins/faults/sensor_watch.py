@@ -4,26 +4,21 @@ import numpy as np
 
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.faults.correction import Correction, moved
-from ffsm_drake.plugins.faults.known import CODE, EVERY, LEARNT, OLD, Memory
+from ffsm_drake.plugins.faults.known import CODE, EVERY, LEARNT, OLD, WINDOWS, Memory
 from ffsm_drake.plugins.faults.sensors import entries_in_state
-from ffsm_drake.plugins.faults.windows import slope_of, times_of
+from ffsm_drake.plugins.faults.windows import slope_weights, times_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, position_error
 
 _REPEATED = 5  # samples with the same bits
 _ALIKE = 0.3  # largest difference of a change that ends a bias, as a share of it
-_JUMP, _SLOPE = 1e-3, 1e-3  # m or rad, m/s or rad/s; smaller sensor errors are ignored
+_JUMP, SLOPE = 1e-3, 1e-3  # m or rad, m/s or rad/s; smaller sensor errors are ignored
+Slips = tuple[np.ndarray, np.ndarray]  # what ``SensorWatch._slips`` returns
 
 
 class SensorWatch(Correction):
     """Compares each sensor with the other one of its coordinate. A sensor that works again is read
     again.
     """
-
-    def _jammed(self, codes: np.ndarray) -> np.ndarray:
-        """Mask of the jammed coordinates (nv)."""
-        base, joints = np.zeros(NUM_BASE_VELOCITIES, dtype=bool), self._model.coordinates.joints
-        at = [self._names.index(f"joints.{name}") for name in joints]
-        return np.concatenate([base, codes[at] > 0.0])
 
     def _look_at_sensors(
         self, memory: Memory, raw: np.ndarray, before: np.ndarray, new: np.ndarray | None
@@ -34,26 +29,27 @@ class SensorWatch(Correction):
         slip = change - 0.5 * self._step * (now[nq:] + before[nq:])
         memory.since += np.tile(slip, 2)
         memory.stale[:] = 0.0 if new is None else np.where(new > 0.0, 0.0, memory.stale + 1.0)
-        lost, joints = self._lost(memory.codes), self._jammed(memory.codes)
-        for index, (name, entries) in enumerate(self._sensors.items()):
-            columns = entries_in_state(entries)
-            same = bool((raw[columns] == memory.raw[columns]).all())
-            if memory.codes[self._unit(name)]:
-                if self._works_again(memory, name, slip, same=same):
+        same = np.logical_and.reduceat(raw == memory.raw, self._columns)
+        codes, lost = memory.codes[self._of_sensors], self._lost(memory.codes)
+        works = codes == 0.0
+        memory.repeats[works] = np.where(same, memory.repeats + 1.0, 0.0)[works]
+        memory.since[np.repeat(works & ~same, self._widths)] = 0.0
+        silent, frozen, jumps = self._suspects(memory, slip, lost)
+        for index in np.flatnonzero(~works | silent | frozen | (jumps & ~same)).tolist():
+            name, entries = self._sensor_names[index], self._sensor_entries[index]
+            if not works[index]:
+                if self._works_again(
+                    memory, name, slip, same=bool(same[index]), jumps=bool(jumps[index])
+                ):
                     self._read_again(memory, name, raw)
                 slip[entries[entries < self._nv]] = 0.0
-                continue
-            memory.repeats[index] = memory.repeats[index] + 1.0 if same else 0.0
-            if not same:
-                memory.since[entries] = 0.0
-            if self._is_silent(memory, name):
+            elif silent[index]:
                 self._lose(memory, name, "silent")
-            elif self._is_frozen(memory, index, entries):
-                still = joints[entries % self._nv].any() or self._is_at_rest(memory, index, entries)
-                if not still:
+            elif frozen[index]:
+                if not self._is_at_rest(memory, index, entries):
                     self._lose(memory, name, "frozen")
             # a jump back to a value that was repeated would not be one
-            elif not same and self._jumps(memory, entries, slip, lost):
+            else:
                 self._take_off(memory, entries, slip)
                 self._lose(memory, name, "biased")
         gain = 1.0 / min(memory.samples + 1.0, 4.0 * LEARNT)
@@ -61,34 +57,34 @@ class SensorWatch(Correction):
         memory.sums[self._at["slip"]] += slip
         memory.sums[self._at["moved"]] += change
 
-    def _is_silent(self, memory: Memory, sensor: str) -> bool:
-        """Whether a sensor has reported no new measurement for too long."""
-        entries = self._sensors[sensor]
-        stale = memory.stale[entries_in_state(entries)]
-        return bool((stale > self._patience[entries[0]]).all())
-
-    def _is_frozen(self, memory: Memory, index: int, entries: np.ndarray) -> bool:
-        """Whether a sensor repeats its bits, by rounding or at rest perhaps."""
-        is_exact = self._is_prompt[entries].all() and self._is_fine[entries].all()
-        return bool(is_exact and memory.repeats[index] >= _REPEATED)
+    def _suspects(
+        self, memory: Memory, slip: np.ndarray, lost: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Masks of sensors: silent for too long; repeating bits, by rounding or at rest perhaps;
+        and positions that jump by more than their velocities, if those are not lost, explain.
+        """
+        silent = np.minimum.reduceat(memory.stale, self._columns) > self._least_patience
+        frozen = self._is_exact & (memory.repeats >= _REPEATED)
+        count, starts = len(self._widths) // 2, self._entries[: len(self._widths) // 2]
+        square, share = slip**2, slip**2 / (memory.jitter + 1e-30)
+        is_clear = np.add.reduceat(share, starts) > (self._settings.threshold + 1.0) ** 2
+        is_clear &= np.add.reduceat(square, starts) > _JUMP**2
+        is_clear &= self._are_prompt[:count]
+        is_clear &= ~np.logical_or.reduceat(lost[self._nv :], starts)
+        jumps = np.zeros(2 * count, dtype=bool)
+        jumps[:count] = is_clear & (memory.samples >= LEARNT)
+        return silent, frozen, jumps
 
     def _is_at_rest(self, memory: Memory, index: int, entries: np.ndarray) -> bool:
-        """Whether the other sensor of a sensor that repeats its bits shows no motion either."""
+        """Whether a sensor that repeats its bits is of a jammed joint, or the other sensor of its
+        coordinate shows no motion either.
+        """
+        joint = entries[0] % self._nv - NUM_BASE_VELOCITIES
+        if joint >= 0 and memory.codes[self._of_joints[joint]]:
+            return True
         walk = self._velocity_noise[entries % self._nv].max() * np.sqrt(memory.repeats[index])
         least = 1e-7 + self._settings.threshold * self._step * walk
         return bool(np.abs(memory.since[entries]).max() <= least)
-
-    def _jumps(
-        self, memory: Memory, entries: np.ndarray, slip: np.ndarray, lost: np.ndarray
-    ) -> bool:
-        """Whether a position jumps by more than its velocity, if that is not lost, explains."""
-        if memory.samples < LEARNT or entries[0] >= self._nv:
-            return False
-        if not self._is_prompt[entries].all() or lost[entries + self._nv].any():
-            return False
-        size = np.linalg.norm(slip[entries] / np.sqrt(memory.jitter[entries] + 1e-30))
-        is_clear = size > self._settings.threshold + 1.0
-        return bool(is_clear and np.linalg.norm(slip[entries]) > _JUMP)
 
     def _take_off(self, memory: Memory, entries: np.ndarray, slip: np.ndarray) -> None:
         """Subtract the jump of a position from now on; its slip is zero."""
@@ -99,7 +95,9 @@ class SensorWatch(Correction):
         now[:nq] = moved(now[:nq], -found[:nv])
         slip[entries] = 0.0
 
-    def _works_again(self, memory: Memory, sensor: str, slip: np.ndarray, *, same: bool) -> bool:
+    def _works_again(
+        self, memory: Memory, sensor: str, slip: np.ndarray, *, same: bool, jumps: bool
+    ) -> bool:
         """Whether a sensor that was lost measures: a position's bias ends with a jump back, that of
         a velocity as in ``_look_at_velocities``.
         """
@@ -108,9 +106,7 @@ class SensorWatch(Correction):
             return bool((memory.stale[entries_in_state(entries)] == 0.0).all())
         if code == CODE["frozen"]:
             return not same
-        if not self._jumps(memory, entries, slip, self._lost(memory.codes)):
-            return False
-        return self._ends_bias(memory, entries, -slip[entries])
+        return jumps and self._ends_bias(memory, entries, -slip[entries])
 
     def _ends_bias(self, memory: Memory, entries: np.ndarray, change: np.ndarray) -> bool:
         """Whether a change, in world axes, is about the known bias of a sensor."""
@@ -143,30 +139,32 @@ class SensorWatch(Correction):
             memory.abort_request = 1.0
         self._forget(memory)
 
-    def _slips(self, memory: Memory, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Difference (nv) between velocities and the slopes of their positions beyond the usual
-        one, and its standard deviation.
+    def _slips(self, memory: Memory) -> Slips:
+        """Of the last ``WINDOWS`` of blocks, differences (3, nv) between velocities and the slopes
+        of their positions beyond the usual ones, and their standard deviations (3, nv).
         """
         step, white = EVERY * self._step, noise_of_mean(memory.jitter)
-        slope, deviation = slope_of(blocks[:, self._at["slip"]], step, white)
+        longest, sizes = max(WINDOWS), np.array(WINDOWS)[:, None]
+        blocks = memory.kept[-longest:, self._at["slip"]]
+        weights = slope_weights(WINDOWS, longest, step)
+        seconds = np.cumsum(np.diff(blocks, n=2, axis=0)[::-1] ** 2, axis=0)
+        noise = np.sqrt(seconds[sizes[:, 0] - 3] / (6.0 * (sizes - 2)))
+        deviation = np.maximum(noise, white) * np.linalg.norm(weights, axis=1)[:, None]
         velocity = 1.2 * self._velocity_noise / np.sqrt(EVERY)
         known = times_of(OLD, step)
         of_usual = np.hypot(white / np.sqrt(known @ known), velocity / np.sqrt(OLD))
         of_usual /= np.sqrt(max(memory.looks / OLD, 1.0))
-        deviation = np.hypot(deviation, velocity / np.sqrt(len(blocks)))
-        return slope - memory.slope, np.hypot(deviation, of_usual) + 1e-30
+        deviation = np.hypot(deviation, velocity / np.sqrt(sizes))
+        return weights @ blocks - memory.slope, np.hypot(deviation, of_usual) + 1e-30
 
-    def _are_velocities_off(self, memory: Memory, blocks: np.ndarray) -> bool:
-        """Whether a velocity seems to differ from the slope of its position and cannot reveal
-        forces.
+    def _look_at_velocities(self, memory: Memory, off: np.ndarray, deviation: np.ndarray) -> None:
+        """Detect velocities that differ from the slope of their position.
+
+        Args: a window's ``_slips`` (nv each).
         """
-        off, deviation = self._slips(memory, blocks)
-        return bool((np.abs(off) > _SLOPE + 4.0 * deviation).any())
-
-    def _look_at_velocities(self, memory: Memory, blocks: np.ndarray) -> None:
-        """Detect velocities that differ from the slope of their position."""
+        if not (np.abs(off) > SLOPE / np.sqrt(3.0)).any():
+            return
         nv, codes = self._nv, memory.codes
-        off, deviation = self._slips(memory, blocks)
         for name, entries in self._sensors.items():
             at, code = entries - nv, codes[self._unit(name)]
             if at[0] < 0 or codes[self._unit(name.removesuffix("_velocity"))]:
@@ -174,7 +172,7 @@ class SensorWatch(Correction):
             if not (self._is_prompt[entries].all() and self._is_prompt[at].all()):
                 continue
             size = np.linalg.norm(off[at] / deviation[at])
-            if np.linalg.norm(off[at]) <= _SLOPE or size <= self._settings.threshold + 1.0:
+            if np.linalg.norm(off[at]) <= SLOPE or size <= self._settings.threshold + 1.0:
                 continue
             if not code:
                 found = np.zeros(2 * nv)

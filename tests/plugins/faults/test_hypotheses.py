@@ -13,11 +13,12 @@ from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.faults import features
 from ffsm_drake.plugins.faults.box_squares import least_squares
 from ffsm_drake.plugins.faults.decision import decided
-from ffsm_drake.plugins.faults.features import Means, Places
+from ffsm_drake.plugins.faults.features import Means, Places, rows_of
 from ffsm_drake.plugins.faults.hypotheses import ALARM, Hypotheses, Vote, vote
 from ffsm_drake.plugins.faults.panels import AGO, SIZE, SPANS, PanelBound
 from ffsm_drake.plugins.faults.payload_error import force_by_errors, intervals, place
 from ffsm_drake.scenario import MassProperties
+from ffsm_drake.spacecraft.plant import find_frame
 
 JOINTS, THRUSTERS = 3, 8
 NV = 6 + JOINTS
@@ -38,6 +39,21 @@ def test_squares_agree_with_scipy(rows, columns, seed):
     for each in range(4):
         exact = 2.0 * lsq_linear(matrix[each], values[each], (low[each], high[each])).cost
         assert exact - 1e-6 <= squares[each] <= exact + 1.0
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6))
+def test_squares_that_are_enough_are_reached_by_the_values_returned(seed):
+    rng = np.random.default_rng(seed)
+    matrix, values = rng.normal(size=(6, 5, 12)), 5.0 * rng.normal(size=(6, 5))
+    box = np.full((6, 12), 0.5)
+    best, _ = least_squares(matrix, values, -box, box)
+    squares, x = least_squares(matrix, values, -box, box, 30.0)
+    assert ((squares <= 30.0) == (best <= 30.0)).all()
+    assert squares[best > 30.0] == pytest.approx(best[best > 30.0])
+    assert (np.abs(x) <= box).all()
+    left = values - np.einsum("nij,nj->ni", matrix, x)
+    assert squares == pytest.approx((left**2).sum(axis=1))
 
 
 @pytest.mark.parametrize("name", ["thrusters_and_wheels", "postcapture"])
@@ -70,7 +86,8 @@ def test_the_force_of_a_wrong_payload_is_that_of_another_plant(name):
     about = wanted + mass * (offset @ offset * np.eye(3) - np.outer(offset, offset)) - tensor
     pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
     errors = [mass - nominal.mass, *(mass * offset), *(about[pair] for pair in pairs)]
-    at = place(model, payload.body, centre, state)
+    frame = find_frame(model.plant, payload.body, key="payload.body")
+    at = place(model, frame, centre, state)
     columns = force_by_errors(at[None], v[None], acceleration[None])[0]
     assert columns @ np.array(errors) == pytest.approx(force, rel=1e-6, abs=1e-6)
 
@@ -113,18 +130,19 @@ def seen(rng, force_of, *, told=None):
         acceleration=np.zeros((count, NV)), noise=noise, told=told,
     )  # fmt: skip
     at = Places(
-        mass=np.tile(mass, (count, 1, 1)), bound=np.full((count, NV), BOUND),
+        mass=np.tile(mass, (count, 1, 1)), inverse=np.tile(np.linalg.inv(mass), (count, 1, 1)),
+        bound=np.full((count, NV), BOUND),
         velocity=np.zeros((count, NV)), payload=np.zeros((count, 0)),
         pushes=np.tile(pushes, (count, 1, 1)), panels=np.zeros((count, 6)), turned=np.zeros(count),
     )  # fmt: skip
     box = np.zeros(10), np.zeros(10)
-    return features.whitened(means, at, box, is_free=False)
+    return features.whitened(means, at, box, np.zeros(count, dtype=bool))
 
 
 def votes_of(found):
     squares, _ = least_squares(found.matrix, found.y, found.low, found.high)
     among = Hypotheses.of(np.arange(JOINTS), np.arange(THRUSTERS))
-    each = [found.of(np.array([row])) for row in range(len(found.window))]
+    each = [rows_of(found, np.array([row])) for row in range(len(found.window))]
     return squares, [vote(of, squares[[row]], FORCE, among) for row, of in enumerate(each)]
 
 
@@ -134,7 +152,7 @@ def test_disturbances_within_the_bound_are_no_evidence(seed):
     found = seen(np.random.default_rng(seed), lambda pushes, told: np.zeros(NV))
     squares, votes = votes_of(found)
     assert (squares < ALARM).all()
-    assert (squares <= found.at_most(np.zeros(0)) + 1.0).all()
+    assert (squares <= found.at_most(np.zeros((0, 1))) + 1.0).all()
     assert votes == [None] * len(votes)
 
 
@@ -171,7 +189,8 @@ def memory(units=5):
 
 
 def of_unit(worse, best=0):
-    return Vote(best=best, gives_more=True, share=1.0, worse=np.array(worse), total=100.0)
+    more, share = np.ones(len(worse), dtype=bool), np.ones(len(worse))
+    return Vote(best=best, gives_more=more, share=share, worse=np.array(worse), total=100.0)
 
 
 ALL = np.ones(5, dtype=bool)
@@ -182,6 +201,15 @@ def test_a_unit_is_reported_after_three_looks_that_agree():
     found = [decided({0: (4, clear)}, kept, ALL, now) for now in (30.0, 31.0, 32.0)]
     assert found[:2] == [None, None]
     assert (found[2].units.tolist(), found[2].kind) == ([0], "stuck_on")
+
+
+def test_a_unit_that_no_window_finds_best_has_a_kind():
+    """Two windows prefer others, but only this unit is among those that both name."""
+    kept, found = memory(), None
+    one, other = of_unit([0.0, 3.0, *[50.0] * 3]), of_unit([50.0, 3.0, 0.0, 50.0, 50.0], best=2)
+    for now in (30.0, 31.0, 32.0):
+        found = decided({0: (4, one), 2: (8, other)}, kept, ALL, now)
+    assert (found.units.tolist(), found.kind) == ([1], "stuck_on")
 
 
 def test_windows_that_disagree_report_nothing():
