@@ -535,13 +535,3 @@ def configuration(coordinates: Coordinates, posture: Posture, *, key: str) -> np
 def base_rpy(q: np.ndarray) -> np.ndarray:
     """Return roll, pitch, yaw (..., 3) of the base in configurations q (..., nq), rad."""
     return rpy_of(q[..., :4])
-
-
-def posture_of(q: np.ndarray, coordinates: Coordinates) -> Posture:
-    """Return the posture of a configuration q (nq)."""
-    joints = zip(coordinates.names[NUM_BASE_VELOCITIES:], q[NUM_BASE_POSITIONS:], strict=True)
-    return Posture(
-        base_position=q[4:NUM_BASE_POSITIONS].tolist(),
-        base_rpy=base_rpy(q).tolist(),
-        joints={name: float(angle) for name, angle in joints},
-    )

@@ -13,13 +13,13 @@ from ffsm_drake.common.steps import step
 from ffsm_drake.mission import Mission, planned
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
 from ffsm_drake.plugins.capture.phases.own import phases_before, with_phases
+from ffsm_drake.plugins.capture.postures import posture_of
 from ffsm_drake.runs.exceeded_limits import not_measured
 from ffsm_drake.scenario import EMPTY, Posture, Scenario
 from ffsm_drake.scenario.capture import Approach
 from ffsm_drake.spacecraft.clearance import shapes_of
 from ffsm_drake.spacecraft.grasp import Contact
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.spacecraft.plant import posture_of
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.mission_limits import DIRECTIONS, actuation_limit
 from ffsm_drake.systems.planned_motion import PlannedMotion

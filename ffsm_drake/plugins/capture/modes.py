@@ -10,9 +10,9 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.approach import approach_posture, force_share
+from ffsm_drake.plugins.capture.postures import posture_of
 from ffsm_drake.scenario import Reference
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.spacecraft.plant import posture_of
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.mission_limits import actuation_limit
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion

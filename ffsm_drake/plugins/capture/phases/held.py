@@ -11,12 +11,12 @@ from ffsm_drake.plugins.capture.contact import payload_body
 from ffsm_drake.plugins.capture.grasping import Aim, Meeting, target_at
 from ffsm_drake.plugins.capture.phases.approach import CONTACTS
 from ffsm_drake.plugins.capture.phases.chase import Chase, phase_of, replaced
+from ffsm_drake.plugins.capture.postures import posture_of
 from ffsm_drake.runs.exceeded_limits import closest_of
 from ffsm_drake.runs.phases import Phase, Situation, Stop
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import HELD
 from ffsm_drake.spacecraft.coordinates import halves
-from ffsm_drake.spacecraft.plant import posture_of
 from ffsm_drake.systems.mission_limits import actuation_limit
 from ffsm_drake.systems.reference import make_motion
 

@@ -20,6 +20,7 @@ from ffsm_drake.plugins.capture.approach import (
 from ffsm_drake.plugins.capture.contact import payload_body
 from ffsm_drake.plugins.capture.grasping import Aim
 from ffsm_drake.plugins.capture.phases.chase import Chase, Move, met, phase_of, replaced
+from ffsm_drake.plugins.capture.postures import posture_of
 from ffsm_drake.plugins.capture.target_filter import Path
 from ffsm_drake.runs.ending import MISSED
 from ffsm_drake.runs.exceeded_limits import closest_of
@@ -27,7 +28,7 @@ from ffsm_drake.runs.phases import Phase, PhaseKind, Situation
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import EMPTY, Posture
 from ffsm_drake.scenario.capture import Retreat as Settings
-from ffsm_drake.spacecraft.plant import base_body, base_rpy, configuration, posture_of
+from ffsm_drake.spacecraft.plant import base_body, base_rpy, configuration
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
 
