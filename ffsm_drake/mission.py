@@ -16,7 +16,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 Of = Callable[Concatenate["Mission", P], R]
 # sections of a scenario that a craft is made from; a block may replace the section ``actuation``
-_OF_CRAFT = ("model", "payload", "actuation", "blocks")
+_OF_CRAFT = ("model", "payload", "actuation", "blocks", "effects")
 _MOST = 64  # results kept of a mission, or of a plan
 _LAST = threading.local()  # the mission that ``make_mission`` made last
 
@@ -102,7 +102,8 @@ def make_mission(given: Scenario | Mission) -> Mission:
 
 def _contents_of(scenario: Scenario) -> tuple[Hashable, Hashable, Hashable]:
     """Return what the craft of a scenario depends on, what its plans do, and all of it."""
-    of_craft = content_of([getattr(scenario, name) for name in _OF_CRAFT])
+    drawn = scenario.effects != type(scenario.effects)() and scenario.random_seed
+    of_craft = content_of([*(getattr(scenario, name) for name in _OF_CRAFT), drawn])
     # own phases may read any setting
     part = scenario if scenario.blocks.phases else planned_part(scenario, with_target=True)
     return of_craft, content_of(part), content_of(scenario)

@@ -46,7 +46,7 @@ def schema_fields(schema: Any) -> dict[str, Any] | None:
     None for anything else.
     """
     names = settings_of(schema)
-    if not names:
+    if not names and not hasattr(schema, "UNKNOWN"):
         return None
     if dataclasses.is_dataclass(schema):
         kinds = typing.get_type_hints(schema)
@@ -163,7 +163,7 @@ def _resolve_group(schema: Any, default: Any, data: Any, path: str) -> dict[str,
         raise ScenarioError(path, f"must be a mapping with keys {some(fields)}, not {shown(data)}")
     for key in data:
         if key not in fields:
-            raise _unknown_key(path, key, fields)
+            raise _unknown_key(path, key, fields, getattr(schema, "UNKNOWN", "unknown key"))
     return {
         key: resolve(kind, default[key], data[key], join(path, key))
         if key in data
@@ -344,11 +344,13 @@ def _child_schema(schema: Any, part: str, path: str) -> Any:
     raise ScenarioError(join(path, part), f"unknown key; {path} holds {holds}")
 
 
-def _unknown_key(path: str, key: Any, fields: Iterable[str]) -> ScenarioError:
+def _unknown_key(
+    path: str, key: Any, fields: Iterable[str], problem: str = "unknown key"
+) -> ScenarioError:
     valid = list(fields)
     return ScenarioError(
         join(path, key if isinstance(key, str) else shown(key)),
-        f"unknown key; valid here: {choices(key, valid)}",
+        f"{problem}; valid here: {choices(key, valid)}",
     )
 
 

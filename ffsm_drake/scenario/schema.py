@@ -19,6 +19,7 @@ from ffsm_drake.scenario.actuation import DRIVEN, Actuation, Drives, Wheels
 from ffsm_drake.scenario.blocks import Blocks
 from ffsm_drake.scenario.capture import Approach, Capture, Closing
 from ffsm_drake.scenario.contacts import Chain, Contact
+from ffsm_drake.scenario.effects import Effects
 from ffsm_drake.scenario.faults import Faults
 from ffsm_drake.scenario.fields import (
     ZERO,
@@ -148,6 +149,7 @@ class Scenario:
     supervisor: Supervisor | None = unitless(
         None, "rate damping and a new plan if the plan cannot be followed; null: none"
     )
+    effects: Effects = setting(Effects())
     faults: Faults | None = unitless(None, "faults of units, and their detection; null: none")
 
     def __post_init__(self) -> None:
@@ -342,6 +344,7 @@ _OF_THE_RUN = (
     "sensing",
     "supervisor",
     "faults",
+    "effects",
 )
 
 

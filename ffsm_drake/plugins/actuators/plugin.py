@@ -1,16 +1,18 @@
 from ffsm_drake.common.registrations import Plugin
 
 PLUGIN = Plugin(
-    about="Limits and delays of actuators, joint drives, reaction wheels, thrusters and plumes",
+    about="Limits, delays and lost commands of actuators, drives, wheels, thrusters and plumes",
     page="actuators",
     brings={
         "sections": {
             "actuation": "actuators.row:ActuatorRow",
+            "actuation.link": "actuators.link:CommandLink",
             "actuation.drives": "actuators.drives:JointDrives",
             "actuation.thrusters": "actuators.thrusters:FiredThrusters",
             "actuation.wheels": "actuators.wheels:ReactionWheels",
             "forces.plume": "actuators.plumes:Plumes",
         },
+        "effects": {"link": "actuators.link_settings:Link"},
         "acting_blocks": {"actuators": "actuators.row:acting_blocks"},
     },
 )

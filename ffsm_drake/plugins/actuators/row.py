@@ -1,5 +1,5 @@
-"""Actuators: from the commanded to the applied force. Saturation, quantisation, delay, drives,
-wheels, thrusters.
+"""Actuators: from the commanded to the applied force. Saturation, quantisation, delay, link,
+drives, wheels, thrusters.
 """
 
 import dataclasses
@@ -12,6 +12,7 @@ from pydrake.systems.primitives import DiscreteTimeDelay, PassThrough, Saturatio
 from ffsm_drake.plugins.actuators.base import BaseActuators
 from ffsm_drake.plugins.actuators.drives import FRICTION, DriveSet, JointFriction, RateLimit
 from ffsm_drake.plugins.actuators.gyroscopic import Gyroscopic
+from ffsm_drake.plugins.actuators.link import LossyLink, link_of, lossy_link
 from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.plugins.actuators.quantizer import Quantizer
 from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
@@ -57,6 +58,7 @@ class ActuatorRow(Part):
             sample_time=setup.sample_time,
             faults=_faults(scenario),
             detects=detects(scenario),
+            link=_link(scenario, setup.coordinates),
         )
 
 
@@ -68,6 +70,7 @@ def make_actuation(
     base: System | None = None,
     faults: Sequence[Hit] = (),
     detects: bool = False,
+    link: LossyLink | None = None,
 ) -> Actuators | None:
     """Build a diagram from ``commanded_force`` to ``applied_force``, both (nv): N m and N; None if
     they are equal.
@@ -84,6 +87,7 @@ def make_actuation(
       base: from force to force (nv), in place of thrusters and wheels.
       faults: those of thrusters and wheels.
       detects: whether there is an input for detected faults.
+      link: from the command to the actuators; None: commands arrive at once.
 
     Raises:
       ScenarioError: a value is given for an unknown coordinate; thrusters or wheels cannot give
@@ -93,6 +97,8 @@ def make_actuation(
     if base is not None:
         own = dataclasses.replace(settings, thrusters=None, wheels=None)
     acting, flowing = _acting(own, coordinates, sample_time, faults=faults, detects=detects)
+    if link is not None:
+        acting = {"link": link, **acting}
     for name, block in acting.items():
         row[name] = SampledSystem(block, name=name, sample_time=sample_time)
     beside = {name: ContinuousSystem(each, name=name) for name, each in flowing.items()}
@@ -141,7 +147,16 @@ def acting_blocks(
         allocated(scenario), coordinates, scenario.sample_time, faults=_faults(scenario),
         detects=detects(scenario),
     )  # fmt: skip
-    return [*row.values()], [*beside.values()]
+    link = _link(scenario, coordinates)
+    return [*([] if link is None else [link]), *row.values()], [*beside.values()]
+
+
+def _link(scenario: Scenario, coordinates: Coordinates) -> LossyLink | None:
+    """The link of a scenario; None: there is none."""
+    settings, step = link_of(scenario), scenario.sample_time
+    if settings is None:
+        return None
+    return lossy_link(settings, coordinates, sample_time=step, seed=scenario.random_seed)
 
 
 def _faults(scenario: Scenario) -> list[Hit]:

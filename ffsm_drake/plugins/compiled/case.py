@@ -192,7 +192,8 @@ class Case:
     def with_seed(self, seed: int) -> "Case":
         """The same with another seed."""
         mission = self.mission.flown_by(random_seed=seed)
-        if mission.scenario.faults is not None:
+        drawn = mission.scenario.faults, *vars(mission.scenario.effects).values()
+        if any(each is not None for each in drawn):
             return Case(mission, self.nominal.grip, further=self._further)
         other = copy.copy(self)
         other.mission, other.scenario = mission, mission.scenario

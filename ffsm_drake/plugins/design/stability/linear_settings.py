@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -18,8 +18,8 @@ NOT_LINEAR = {"actuation": ("limit", "quantization"), "drives": ("rate_limit",)}
 
 
 def without_limits(mission: Mission) -> Scenario:
-    """The scenario without quantisation, barriers, supervisor and faults, with the defaults of
-    ``NOT_LINEAR``.
+    """The scenario without quantisation, barriers, supervisor, faults and rough effects, and with
+    the defaults of ``NOT_LINEAR``.
     """
     scenario, coordinates = mission.scenario, mission.craft.coordinates
     sensing = smooth_sensing(scenario, coordinates)
@@ -38,7 +38,14 @@ def without_limits(mission: Mission) -> Scenario:
         command_filter=dataclasses.replace(scenario.command_filter, barriers=None),
         supervisor=None,
         faults=None,
+        effects=_smooth_effects(scenario.effects),
     )
+
+
+def _smooth_effects(effects: Any) -> Any:
+    """Effects of a scenario without a lossy link and backlash."""
+    given = [name for name in ("link", "backlash") if getattr(effects, name, None) is not None]
+    return dataclasses.replace(effects, **dict.fromkeys(given))
 
 
 def _with_defaults(settings: _T, names: Sequence[str]) -> _T:
