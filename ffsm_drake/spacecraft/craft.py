@@ -9,6 +9,7 @@ from pydrake.systems.framework import Context
 
 from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates, StateSplit
+from ffsm_drake.spacecraft.extensions import TRUE_GEOMETRY
 from ffsm_drake.spacecraft.limits import Limit, urdf_limits
 from ffsm_drake.spacecraft.mass_properties import set_drives, set_payload, set_wheels
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -83,13 +84,15 @@ class Craft:
     def _set_masses(
         self, plant: MultibodyPlant, context: Context, grip: Grip, *, nominal: bool = False
     ) -> None:
-        """Set payload, wheels and drives in a new context."""
+        """Set payload, wheels, drives and the true geometry in a new context."""
         scenario, payload = self._scenario, grip.carried(self._scenario.payload)
         properties = payload.nominal if nominal else payload.truth
         # first: a rotor may be the only inertia that a joint moves
         set_drives(plant, context, scenario.drives, nominal=nominal)
         set_payload(plant, context, body=payload.body, properties=properties)
         set_wheels(plant, context, scenario.wheels)
+        if not nominal and getattr(scenario.effects, "geometry", None):
+            TRUE_GEOMETRY.only("effects.geometry")(plant, context, scenario)
 
     def change_payload(
         self, plant: MultibodyPlant, context: Context, properties: MassProperties

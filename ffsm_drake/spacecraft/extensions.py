@@ -1,6 +1,6 @@
-"""What plug-ins add to the spacecraft: flexible parts, and models in further formats."""
+"""What plug-ins add to the spacecraft: flexible parts, true geometry, and formats of models."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -10,7 +10,7 @@ from pydrake.multibody.tree import RigidBody
 from pydrake.systems.framework import Context
 
 from ffsm_drake.common.registrations import Registry
-from ffsm_drake.scenario import Model
+from ffsm_drake.scenario import Model, Scenario
 from ffsm_drake.spacecraft.coordinates import StateSplit
 
 
@@ -62,4 +62,6 @@ class ModelFormats(Protocol):
         """Return the URDF of a model file, for its dynamics only. Raises ModelError."""
 
 
+# Displaces the frames of a plant (which a context belongs to) by ``effects.geometry``.
+TRUE_GEOMETRY = Registry[Callable[[MultibodyPlant, Context, Scenario], None]]("true_geometry")
 MODEL_FORMATS = Registry[ModelFormats]("model_formats")
