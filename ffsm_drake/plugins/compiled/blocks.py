@@ -60,6 +60,7 @@ _SAMPLED = {
     "fault_detected": "detected",
     "external_hidden_force": "hidden_push",
 }
+_FORCES = ("generalized_force", "hidden_force")  # of a force, which are summed
 # Inputs of the law and of a detector that are called: the cells that have them.
 _READ = {"estimated_state": "measurement", "applied_force": "applied", "desired_frame": "frame"}
 _LOOKED_AT = {"state": "measurement", "told_force": "applied", "gyroscopic_force": "gyroscopic"}
@@ -146,7 +147,7 @@ class Blocks(Structure):
     def shown_last(self) -> dict[str, int]:
         """Outputs of last forces beside the force, likewise."""
         found = {n: size for of in self.parts.last.values() for n, size in of.outputs.items()}
-        return {name: size for name, size in found.items() if name != "generalized_force"}
+        return {n: size for n, size in found.items() if n not in _FORCES}
 
     @functools.cached_property
     def fast(self) -> dict[str, Sampled]:
@@ -202,7 +203,9 @@ class Blocks(Structure):
     @property
     def pushes_hidden(self) -> bool:
         """Whether a force acts on hidden coordinates."""
-        return any("hidden_force" in force.outputs for force in self.parts.forces.values())
+        outputs = [each.outputs for each in self.parts.forces.values()]
+        outputs += [each.outputs for each in self.parts.last.values()]
+        return any("hidden_force" in names for names in outputs)
 
     @property
     def tells_new(self) -> bool:

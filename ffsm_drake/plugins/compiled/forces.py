@@ -28,7 +28,7 @@ class Forces(Instant):
         time, held = cells.t[0], {name: getattr(cells, name) for name in of.held}
         force, rates = self._others(state, time, **held)
         for each in self._last(state, time, force):
-            force[list(of.forced)] = force[list(of.forced)] + each["generalized_force"]
+            force = self._along(force, each)
         of_plant = traced(equations.derivative(of.tree, q, v, force, cells.own))
         return {"rates": joined([of_plant, *rates])}
 
@@ -69,6 +69,8 @@ class Forces(Instant):
             others = self._others(self.x, now.time, **before)[0]
             for outputs in self._last(self.x, now.time, others):
                 each.append(outputs["generalized_force"])
+                if "hidden_force" in outputs:
+                    on_hidden = on_hidden + outputs["hidden_force"]
                 measured |= {name: outputs[name] for name in of.shown_last if name in outputs}
         return {
             "shown_last": joined(measured[name] for name in of.shown_last),

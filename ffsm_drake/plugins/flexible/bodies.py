@@ -362,6 +362,11 @@ def _springs(plant: MultibodyPlant, kind: type = RevoluteSpring) -> list[Any]:
     return [each for each in elements if isinstance(each, kind)]
 
 
+def spring_stiffness(plant: MultibodyPlant, context: Context) -> dict[str, float]:
+    """Return the stiffness of each hinge spring by the name of its joint, N m/rad."""
+    return {each.joint().name(): each.GetStiffness(context) for each in _springs(plant)}
+
+
 def _body(plant: MultibodyPlant, name: str, part: Flexible) -> RigidBody:
     found = {
         str(plant.get_body(index).scoped_name()): plant.get_body(index)
