@@ -468,7 +468,8 @@ def _built_from(scenario: Scenario) -> Hashable:
     changes = {name: getattr(neutral, name) for name in _OF_THE_CONTEXT}
     if scenario.stops_from_start:
         del changes["initial_velocity"]
-    if scenario.faults is not None:  # they are drawn, by the seed, when the loop is built
+    # drawn, by the seed, when the loop is built
+    if scenario.faults is not None or scenario.effects != neutral.effects:
         del changes["random_seed"]
     payload = planned_part(scenario).payload
     return content_of(dataclasses.replace(scenario, payload=payload, **changes))

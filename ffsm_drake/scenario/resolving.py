@@ -163,7 +163,7 @@ def _resolve_group(schema: Any, default: Any, data: Any, path: str) -> dict[str,
         raise ScenarioError(path, f"must be a mapping with keys {some(fields)}, not {shown(data)}")
     for key in data:
         if key not in fields:
-            raise _unknown_key(path, key, fields, getattr(schema, "UNKNOWN", "unknown key"))
+            raise _unknown_key(path, key, fields, schema)
     return {
         key: resolve(kind, default[key], data[key], join(path, key))
         if key in data
@@ -336,7 +336,7 @@ def _child_schema(schema: Any, part: str, path: str) -> Any:
     fields = schema_fields(schema)
     if fields is not None:
         if part not in fields:
-            raise _unknown_key(path, part, fields)
+            raise _unknown_key(path, part, fields, schema)
         return fields[part]
     if typing.get_origin(schema) is dict:
         return typing.get_args(schema)[1]
@@ -344,9 +344,8 @@ def _child_schema(schema: Any, part: str, path: str) -> Any:
     raise ScenarioError(join(path, part), f"unknown key; {path} holds {holds}")
 
 
-def _unknown_key(
-    path: str, key: Any, fields: Iterable[str], problem: str = "unknown key"
-) -> ScenarioError:
+def _unknown_key(path: str, key: Any, fields: Iterable[str], schema: Any = None) -> ScenarioError:
+    problem = getattr(schema, "UNKNOWN", "unknown key")
     valid = list(fields)
     return ScenarioError(
         join(path, key if isinstance(key, str) else shown(key)),

@@ -23,7 +23,10 @@ LEFT_OUT = shutil.ignore_patterns("__pycache__", ".git", ".*_cache", "*venv", "o
 SHORT = ["run", "postcapture", "--set", "duration=0.5", "--no-report", "--out", "out"]
 # plug-in -> commands that need it
 NEEDED = {
-    "actuators": [[*SHORT, "--set", "actuation.limit.joints=1"]],
+    "actuators": [
+        [*SHORT, "--set", "actuation.limit.joints=1"],
+        [*SHORT, "--set", "effects.link={}"],
+    ],
     "analysis": [["analyze", "out"]],
     "audit": [["audit", "log.csv", "--urdf", "craft.urdf"]],
     "barriers": [[*SHORT, "--set", "command_filter.barriers={}"]],
@@ -46,6 +49,7 @@ NEEDED = {
     "flexible": [["run", "flexible_panels", "--no-report", "--out", "out"]],
     "compiled": [],
     "equations": [],
+    "geometry": [[*SHORT, "--set", "effects.geometry={}"]],
     "gymnasium": [],
     "inputs": [],
     "interactive": [

@@ -169,6 +169,18 @@ SPECIAL = {
             "error": st.none() | POSITIVE,
         },
     ),
+    "effects": st.fixed_dictionaries(
+        {},
+        optional={
+            "link": st.none()
+            | st.fixed_dictionaries(
+                {"drop_rate": st.floats(0.0, 0.9)}, optional={"delay": st.just([0.0, 0.02])}
+            ),
+            "geometry": st.fixed_dictionaries(
+                {}, optional={"joint_offset": SIGNED, "hand_stretch": st.floats(-0.5, 0.5)}
+            ),
+        },
+    ),
     "events": st.dictionaries(
         NAME,
         st.fixed_dictionaries(
@@ -244,8 +256,13 @@ def values(kind, key=""):
 def consistent(data):
     """With a capture the base turns about an eigenaxis; a supervisor plans postures; faults are of
     the scenario's own blocks; phases take whole samples and come before an approach, and their
-    list is not free; sensors have a density or time, or a value per sample.
+    list is not free; effects are of own blocks and held targets; sensors have a density or time, or
+    a value per sample.
     """
+    if (data.get("blocks") or {}).get("actuation") is not None:
+        data.get("effects", {}).pop("link", None)
+    if data.get("capture") is not None:
+        data.get("effects", {}).pop("geometry", None)
     sensing = data.get("sensing") or {}
     for name, further in FURTHER.items():
         if sensing.get(further) is not None:
