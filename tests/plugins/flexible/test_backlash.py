@@ -1,5 +1,7 @@
 """Backlash of a flexible gear, against the piecewise solution of two free bodies."""
 
+import os
+
 import numpy as np
 import pytest
 from c_code import needs_llvm
@@ -84,7 +86,7 @@ def angles(times, stiffness, gap, torque):
 
 
 @pytest.mark.smoke
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(int(os.environ.get("BACKLASH_DRAWS", "4"))))
 def test_free_travel_and_contact_are_those_of_the_piecewise_solution(geared, seed):
     """Of drawn stiffness, gap and torque, to 1e-4 of the gap over several contacts."""
     draw = np.random.default_rng(seed)

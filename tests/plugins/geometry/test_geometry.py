@@ -1,5 +1,6 @@
 """The true geometry of the arm, against products of exponentials and changed model files."""
 
+import os
 import shutil
 import xml.etree.ElementTree as ET
 
@@ -98,7 +99,7 @@ def configuration(draw, count):
 
 @pytest.mark.smoke
 @pytest.mark.parametrize("name", URDFS)
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(int(os.environ.get("GEOMETRY_DRAWS", "3"))))
 def test_the_hand_is_that_of_a_product_of_exponentials(name, seed):
     errors, thermal = drawn(name, seed), {"mean": 20.0, "amplitude": 50.0, "time": 700.0 * seed}
     given = {**errors, "thermal": thermal}
