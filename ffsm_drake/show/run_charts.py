@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.runs.table import driven_of
-from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
 from ffsm_drake.show.chart import Chart, Curve
 from ffsm_drake.show.curves import completed_range, moving_rms
 from ffsm_drake.show.results import HELD, Result, values_of
@@ -48,7 +47,7 @@ def coordinate_charts(results: Sequence[Result], variable: str, unit: str) -> li
     In ``unit``, {unit} is the coordinate's own and {effort} the unit of its force or torque.
     """
     return [
-        _chart(
+        chart_of_runs(
             results, name, unit.format(unit=kind, effort=EFFORT_UNITS.get(kind, kind)), columns,
             group=group, steps=variable in HELD,
         )
@@ -101,20 +100,6 @@ def _rms(results: Sequence[Result], i: int, values: np.ndarray, *, late: int = 0
         results, i, size, x=results[i].time[late:][: size.size], width=1.5,
         name="rms" if len(results) == 1 else "", points=RMS_POINTS,
     )  # fmt: skip
-
-
-def frame_charts(results: Sequence[Result]) -> list[Chart]:
-    """Return the pose error of the frame that has a reference."""
-    having = {
-        i: result.record.dataset["frame_error"].values
-        for i, result in enumerate(results)
-        if "frame_error" in result.record.dataset
-    }
-    return [
-        _chart(results, name, unit, [(i, values[:, k]) for i, values in having.items()])
-        for k, (name, unit) in enumerate(zip(FRAME_COORDINATES, FRAME_UNITS, strict=True))
-        if having
-    ]
 
 
 def path_charts(results: Sequence[Result]) -> list[Chart]:
@@ -189,14 +174,14 @@ def _tracked(results: Sequence[Result], variable: str, angles: Mapping[str, str]
                 curve = Curve(result.time, y, _REFERENCE, "reference", width=1.2)
                 references.setdefault(key, {}).setdefault(y.tobytes(), curve)
     return [
-        _chart(
+        chart_of_runs(
             results, *key, found, width=2.0, behind=list(references.get(key, {}).values())
         )
         for key, found in columns.items()
     ]  # fmt: skip
 
 
-def _chart(
+def chart_of_runs(
     results: Sequence[Result],
     title: str,
     unit: str,

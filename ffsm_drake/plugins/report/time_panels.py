@@ -4,12 +4,13 @@ and gains.
 
 from collections.abc import Sequence
 
+from ffsm_drake.runs.tracking import FRAME_COORDINATES, FRAME_UNITS
 from ffsm_drake.show.chart import Chart, View
 from ffsm_drake.show.results import Result, actuators_act
 from ffsm_drake.show.run_charts import (
     attitude_charts,
+    chart_of_runs,
     coordinate_charts,
-    frame_charts,
     path_charts,
     position_charts,
     rms_charts,
@@ -36,7 +37,7 @@ def run_views(results: Sequence[Result]) -> dict[str, list[View]]:
             "Base position and joints": position_charts(results),
         },
         "end_effector": {"End effector": path_charts(results)},
-        "error": {"Frame": frame_charts(results), **errors},
+        "error": {"Frame": _frame_charts(results), **errors},
         "force": {
             "Control": each("generalized_force", "{effort}"),
             "Applied by the actuators": applied,
@@ -64,3 +65,17 @@ def _sliding_unit(result: Result) -> str:
     if "sliding_variable" not in data:
         return ""
     return "{unit}/s" if data["sliding_variable"].attrs["units"].endswith("per s") else "{unit}"
+
+
+def _frame_charts(results: Sequence[Result]) -> list[Chart]:
+    """Return the pose error of the frame that has a reference."""
+    having = {
+        i: result.record.dataset["frame_error"].values
+        for i, result in enumerate(results)
+        if "frame_error" in result.record.dataset
+    }
+    return [
+        chart_of_runs(results, name, unit, [(i, values[:, k]) for i, values in having.items()])
+        for k, (name, unit) in enumerate(zip(FRAME_COORDINATES, FRAME_UNITS, strict=True))
+        if having
+    ]
