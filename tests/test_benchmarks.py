@@ -1,5 +1,6 @@
 """The benchmark runs, and what it compares is the same motion."""
 
+import dataclasses
 import importlib
 import importlib.util
 import re
@@ -168,3 +169,24 @@ def test_fault_detection(monkeypatch, capsys, tmp_path):
     monkeypatch.setattr(study, "fly", None)  # what is known is not run again
     study.main(short)
     assert capsys.readouterr().out.endswith(first[first.index("2 runs without") :])
+
+
+@pytest.mark.long
+def test_a_healthy_run_has_a_twin_and_a_jam_has_none(monkeypatch, capsys, tmp_path):
+    """A recorded run of each, in a mission in which detection names the joint."""
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    records = importlib.import_module("fault_records")
+    twins = importlib.import_module("healthy_twins")
+    name, jammed = records.jam(0)
+    faults = dataclasses.replace(jammed.faults, events={})
+    healthy = dataclasses.replace(jammed, faults=faults)
+    for kind, scenario in (("jam", jammed), ("healthy", healthy)):
+        records.write(tmp_path / f"{kind}.npz", records.fed(f"{kind} {name}", scenario))
+    records.main(["decide", str(tmp_path)])
+    decided = capsys.readouterr().out
+    assert "| healthy | quiet | 1 |" in decided
+    assert re.search(r"\| joint_\d | right \| 1 \|", decided)
+    twins.main([str(tmp_path / "healthy.npz"), str(tmp_path / "jam.npz")])
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.endswith(": a healthy twin")
+    assert second.endswith(": no healthy twin")
