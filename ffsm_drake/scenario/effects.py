@@ -11,7 +11,7 @@ from typing import Any
 from ffsm_drake.common.registrations import Registry
 from ffsm_drake.common.settings import setting
 
-EFFECTS = Registry[Any]("effects")
+EFFECTS = Registry[type]("effects")
 
 
 def _field(name: str) -> tuple[str, Any, Any]:

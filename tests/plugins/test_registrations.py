@@ -53,7 +53,9 @@ def test_what_it_brings_is_its_own_and_as_the_registry_says(plugin, group, name)
 def check(found: object, kind: typing.Any) -> None:
     """Fail unless an object is of a kind: a class, or a function with a signature."""
     origin = typing.get_origin(kind)
-    if origin is type:
+    if kind is type:
+        assert isinstance(found, type)
+    elif origin is type:
         assert issubclass(found, typing.get_args(kind))
     elif origin is collections.abc.Callable:
         if (arguments := typing.get_args(kind)[0]) is not ...:
