@@ -517,3 +517,14 @@ def test_every_public_name_is_in_the_table_of_the_api():
     rows = re.findall(r"^\| [^|`]+ \| (`\w+`(?:, `\w+`)*) \|$", (DOCS / "api.md").read_text(), re.M)
     verbs = {"analyze", "design", "export", "run_campaign", "stability"}
     assert sorted(re.findall(r"\w+", " ".join(rows))) == sorted({*ffsm_drake.__all__, *verbs})
+
+
+@pytest.mark.parametrize("command", ["frac", "tfrac", "dfrac"])
+def test_a_fraction_of_single_characters_is_shown_as_it_is_written(command):
+    """As LaTeX does, also if a number follows: its first digit over the second."""
+    nodes = pytest.importorskip("docutils.nodes", reason="needs docutils, of the extra docs")
+    pytest.importorskip("sphinx", reason="needs Sphinx, of the extra docs")
+    convert = module_at(DOCS / "_ext/offline_math.py")._mathml
+    for text in (rf"(1 + \{command}12 aL)", rf"\{command} 1 2 x", rf"\{command}{{1}}{{2}} x"):
+        shown = re.sub(r"\s", "", convert(nodes.math(text, text), block=True))
+        assert "<mfrac><mn>1</mn><mn>2</mn></mfrac>" in re.sub(r"<mfrac[^>]*>", "<mfrac>", shown)

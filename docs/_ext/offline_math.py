@@ -17,11 +17,14 @@ logger = logging.getLogger(__name__)
 _NAMESPACE = "{http://www.w3.org/1998/Math/MathML}"
 _ACCENTS = tuple("\u02d9\u00a8\u02c6\u02dc~\u00af")  # dot, two dots, hat, tildes, bar
 _BARS = ("|", "\u2223", "\u2225", "\u2016")
+# a fraction of single characters, such as \tfrac12, which docutils reads as 12 over the next token
+_FRACTION = re.compile(r"(\\[td]?frac)\s*([^\s{}\\])\s*([^\s{}\\])")
 
 
 def _mathml(node: nodes.Node, *, block: bool) -> str:
     try:
-        return _tidied(tex2mathml(node.astext(), as_block=block))
+        text = _FRACTION.sub(r"\1{\2}{\3}", node.astext())
+        return _tidied(tex2mathml(text, as_block=block))
     except (
         MathError,
         AttributeError,
