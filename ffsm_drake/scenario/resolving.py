@@ -139,7 +139,7 @@ def resolve(schema: Any, default: Any, data: Any, path: str) -> Any:
     fields, inner, origin, args, _ = _shape_of(schema)
     if fields is not None:
         return _resolve_group(schema, default, data, path)
-    if inner is not schema:
+    if inner != schema:  # equal types may be two objects
         if default is None and schema_fields(inner) is not None:
             default = defaults_of(inner)
         absent = data is None or (data == "auto" and inner is float)

@@ -4,6 +4,7 @@ says one line.
 
 import copy
 import math
+import random
 import types
 import typing
 
@@ -365,6 +366,26 @@ def test_an_override_changes_its_key_alone(scenario, seed):
         "random_seed": seed
     }
     assert scenario_to_dict(scenario) == data
+
+
+def lists_and_mappings(schema, path=""):
+    """Keys of lists and mappings that may not be null, within sections that are always there."""
+    for name, kind in schema_fields(schema).items():
+        if schema_fields(kind) is not None:
+            yield from lists_and_mappings(kind, f"{path}{name}.")
+        elif typing.get_origin(kind) in (list, dict):
+            yield f"{path}{name}"
+
+
+def test_null_is_no_list_and_no_mapping():
+    """Types such as list[float] are equal without being one object, in whatever order they are
+    read.
+    """
+    keys = [*lists_and_mappings(Scenario)]
+    assert len(keys) > 30
+    for key in random.Random(0).sample(keys, len(keys)):
+        with pytest.raises(ScenarioError, match=rf"{key}.*must be .*, not null"):
+            override_scenario(Scenario(), [f"{key}=null"])
 
 
 @pytest.mark.slow
