@@ -52,6 +52,7 @@ from ffsm_drake.systems.registry import shipped_names
 SEEDS = 20
 # Outcomes of a seed: left out by an interruption, and longer than a campaign's time limit.
 NOT_RUN, CUT = "not run", "cut by the time limit"
+REFUSED = "refused by the mission"  # of a law without an outcome
 _MISSING = {
     "outcome": NOT_RUN,
     "message": "interrupted before every run was made; the same command goes on",
@@ -108,7 +109,7 @@ class Standing:
     def ended(self) -> str:
         """How runs did not come to their end, and of what runs the figures are, in words."""
         if not self.outcomes:
-            return "does not apply"
+            return REFUSED
         early = collections.Counter(name for name in self.outcomes if name not in COMPLETED)
         words = [f"{count} {name}" for name, count in early.items()]
         if self.over == "completed":

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
               "processor time of each law.")  # fmt: skip
 @click.option("--check", is_flag=True, help="Check only published values; exit with 3 if one is "
               "not reproduced.")  # fmt: skip
+@click.option("--stored", is_flag=True, help="Run nothing; write the files from stored runs.")
 @workers_option
 @out_option(help="Folder (default: out/benchmark).")
 @table_option
@@ -42,6 +43,7 @@ def benchmark(
     seeds: int,
     margins: bool,
     check: bool,
+    stored: bool,
     workers: int | None,
     out: Path | None,
     table: Path | None,
@@ -60,6 +62,7 @@ def benchmark(
       ffsm benchmark paper -c tde_aismc -c my_module:MyLaw
       ffsm benchmark postcapture --margins
       ffsm benchmark --check
+      ffsm benchmark --stored --out out/benchmark
       ffsm benchmark paper --table out/paper.tex
     """
     from ffsm_drake.common.files import check_writable
@@ -84,7 +87,12 @@ def benchmark(
             click.echo(f"{board_text(board)}\n")
 
     laws = [(place, place.mission.checked_laws if check else controller) for place in places]
-    boards, interrupted = _run(laws, workers or processors(), told, margins=margins)
+    if stored:
+        boards, interrupted = _stored(laws, folder), None
+        for board in boards:
+            told(board)
+    else:
+        boards, interrupted = _run(laws, workers or processors(), told, margins=margins)
     checks = [each for board in boards for each in check_mission(board)] if not controller else []
     found = comparison(boards)
     data = benchmark_data(boards, checks, found)
@@ -120,6 +128,19 @@ def _write(
         save_figure(comparison_figure(boards, found), folder / "comparison.png")
     if table is not None:
         write_table(board_columns(boards, found), table)
+
+
+def _stored(laws: Sequence[tuple["Place", Sequence[str]]], folder: Path) -> list["Board"]:
+    """Return the boards of the runs that a folder has."""
+    from ffsm_drake.common.errors import CampaignError
+    from ffsm_drake.plugins.benchmark.boards import board_so_far
+
+    if not any(place.laws() for place, _ in laws):
+        raise CampaignError(
+            f"{folder}: --stored: no run of these missions, seeds and version; "
+            "run ffsm benchmark without --stored first"
+        )
+    return [board_so_far(place, own) for place, own in laws]
 
 
 def _run(

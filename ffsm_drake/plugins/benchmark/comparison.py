@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ffsm_drake.common.numbers import NONE, number
-from ffsm_drake.plugins.benchmark.boards import Board, Comparison, Standing
+from ffsm_drake.plugins.benchmark.boards import REFUSED, Board, Comparison, Standing
 from ffsm_drake.plugins.benchmark.paired import COMPARED, REFERENCE, SETTLED, Compared
 from ffsm_drake.plugins.campaign.statistics import Interval
 from ffsm_drake.show.figures.axes import STYLE
@@ -22,6 +22,10 @@ LEGEND = (
     f"Ratios are to {REFERENCE} on the same seeds (Hodges-Lehmann, 95 % by signed ranks). "
     "↓, ↑: smaller or larger, = within noise, at 5 % after Holm's correction over the whole table."
 )
+_SMALLER, _NOISE, _LARGER = "smaller ITAE", "within noise", "larger ITAE"
+_UNSETTLED, _NO_RATIO = "not settled in all runs", "settled, no ratio"
+_NOT_RUN = "not run"
+_ALWAYS = (_SMALLER, _NOISE, _LARGER, _UNSETTLED)  # others: if there is such a law
 
 
 def between(interval: Interval | None, digits: int = 3) -> str:
@@ -105,15 +109,79 @@ def not_compiled(boards: Sequence[Board]) -> list[str]:
     return [f"{engine}: {', '.join(laws)}" for engine, laws in found.items()]
 
 
+def _column(standing: Standing, found: Mapping[str, Compared]) -> str:
+    """The column of a law in ``summary_rows``."""
+    if not standing.outcomes:
+        return REFUSED
+    if not standing.was_run:
+        return _NOT_RUN
+    if standing.settled < len(standing.outcomes):
+        return _UNSETTLED
+    if "itae" not in found:
+        return _NO_RATIO
+    return {"smaller": _SMALLER, "larger": _LARGER, "within noise": _NOISE}[found["itae"].finding]
+
+
+def summary_rows(boards: Sequence[Board], found: Comparison, mark: str = "") -> list[list[str]]:
+    """The laws of each mission by their ITAE against REFERENCE, best first, with a header. A law is
+    in one column; REFERENCE only if it did not settle in all runs. Laws with a larger ITAE, and
+    those that were not run, are counted.
+
+    Args:
+      mark: text around the name of a law or mission.
+    """
+    missions = []
+    for board in boards:
+        laws: dict[str, list[str]] = {}
+        for standing in board.standings:
+            law = standing.controller
+            column = _column(standing, found.get((board.mission.name, law), {}))
+            if law != REFERENCE or column in (_UNSETTLED, _NOT_RUN, REFUSED):
+                some = f" ({standing.settled} of {len(standing.outcomes)})"
+                shown = some if column == _UNSETTLED and standing.settled else ""
+                laws.setdefault(column, []).append(f"{mark}{law}{mark}{shown}")
+        missions.append(laws)
+    columns = [*_ALWAYS]
+    columns += [
+        name for name in (_NO_RATIO, _NOT_RUN, REFUSED) if any(name in laws for laws in missions)
+    ]
+    rows = [["mission", *columns]]
+    for board, laws in zip(boards, missions, strict=True):
+        cells = {name: ", ".join(laws.get(name, ())) or NONE for name in columns}
+        for name in {_LARGER, _NOT_RUN} & {*laws}:
+            count = len(laws[name])
+            cells[name] = f"{count} law{'s' if count > 1 else ''}"
+        rows.append([f"{mark}{board.mission.name}{mark}", *cells.values()])
+    return rows
+
+
+def _markdown(rows: Sequence[Sequence[str]]) -> str:
+    head, *others = rows
+    table = [head, ["---"] * len(head), *others]
+    return "\n".join(f"| {' | '.join(row)} |" for row in table)
+
+
 def comparison_markdown(boards: Sequence[Board], found: Comparison) -> str:
-    """The table of each mission in Markdown, for a document."""
+    """The summary of all missions and the table of each one in Markdown, for a document."""
     blocks = []
+    if found:
+        blocks += ["## Summary", _markdown(summary_rows(boards, found, "`")), LEGEND]
+    if engines := not_compiled(boards):
+        blocks += ["Laws that did not run compiled:", "\n".join(f"- {each}" for each in engines)]
+    refused = [
+        f"- `{board.mission.name}`, `{each.controller}`: {each.message}"
+        for board in boards
+        for each in board.standings
+        if not each.outcomes
+    ]
+    if refused:
+        blocks += ["Laws that a mission refuses:", "\n".join(refused)]
+    blocks.append("## Results by mission")
     for board in boards:
         head, *rows = board_rows(board, found)
-        table = [head, ["---"] * len(head), *([f"`{row[0]}`", *row[1:]] for row in rows)]
-        lines = [f"| {' | '.join(row)} |" for row in table]
-        blocks.append("\n".join([f"### {board.mission.name}", "", *lines]))
-    return "\n\n".join([*blocks, LEGEND, *not_compiled(boards)]) + "\n"
+        table = [head, *([f"`{row[0]}`", *row[1:]] for row in rows)]
+        blocks += [f"### `{board.mission.name}`", _markdown(table)]
+    return "\n\n".join(blocks) + "\n"
 
 
 def comparison_figure(boards: Sequence[Board], found: Comparison) -> Figure:

@@ -7,7 +7,12 @@ from typing import Any
 
 from ffsm_drake.common.numbers import number, rounded_up
 from ffsm_drake.plugins.benchmark.boards import Board, Comparison, Reproduced, Standing
-from ffsm_drake.plugins.benchmark.comparison import LEGEND, board_rows, not_compiled
+from ffsm_drake.plugins.benchmark.comparison import (
+    LEGEND,
+    board_rows,
+    not_compiled,
+    summary_rows,
+)
 from ffsm_drake.plugins.benchmark.paired import COMPARED, REFERENCE
 from ffsm_drake.show.page import render
 from ffsm_drake.show.table_files import Column
@@ -226,7 +231,8 @@ def benchmark_page(boards: Sequence[Board], checks: Sequence[Reproduced], found:
                 for board in boards
             ],
             "checks": checks_table(checks),
-            "legend": LEGEND if found else "",
+            "summary": summary_rows(boards, found) if found else [],
+            "legend": LEGEND,
             "engines": not_compiled(boards),
             "seeds": max(
                 (len(law.outcomes) for each in boards for law in each.standings), default=0

@@ -27,7 +27,11 @@ from ffsm_drake.plugins.benchmark.boards import (
     comparison,
     run_mission,
 )
-from ffsm_drake.plugins.benchmark.comparison import comparison_figure, comparison_markdown
+from ffsm_drake.plugins.benchmark.comparison import (
+    comparison_figure,
+    comparison_markdown,
+    summary_rows,
+)
 from ffsm_drake.plugins.benchmark.law_figures import FIGURES
 from ffsm_drake.plugins.benchmark.missions import (
     BenchmarkMission,
@@ -45,7 +49,7 @@ from ffsm_drake.plugins.benchmark.page import (
     board_text,
 )
 from ffsm_drake.plugins.capture.contact import planned_contact
-from ffsm_drake.scenario import override_scenario, thrusters_of
+from ffsm_drake.scenario import override_scenario, scenario_to_yaml, thrusters_of
 from ffsm_drake.show.table_files import write_table
 from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.spacecraft.free_floating import free_floating
@@ -125,7 +129,8 @@ def test_a_comparison_finds_drawn_differences_and_no_failed_run_enters(seed, mis
     assert found["worse"]["itae"].pairs == some.sum()
     assert all(each.figures["itae"] is None or each.figures["itae"] < 4.0 for each in standings)
     text = comparison_markdown([board], comparison([board]))
-    cells = {line.split("|")[1].strip(" `"): line for line in text.splitlines() if "`" in line}
+    rows = text[text.index("| law |") :].splitlines()
+    cells = {line.split("|")[1].strip(" `"): line for line in rows if "`" in line}
     assert cells["lost"].count(NONE) == 4
     assert f"{some.sum()} of 20 [" in cells["worse"]
     assert "↓" in cells["worse"].split("|")[2]
@@ -138,6 +143,69 @@ def test_a_comparison_finds_drawn_differences_and_no_failed_run_enters(seed, mis
     (panel,) = comparison_figure([board], comparison([board])).axes
     assert [label.get_text() for label in panel.get_yticklabels()] == list(found)
     assert {text.get_text() for text in panel.texts} == {f"{some.sum()}/20", "0/20"}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_summary_has_each_law_in_one_column(seed, mission, tmp_path):
+    """By drawn outcomes; without the reference, unless that did not settle."""
+    rng = np.random.default_rng([66, seed])
+    itae = {"tde_aismc": 1.0, "best": 0.5, "worse": 2.0, "worst": 3.0, "some": 0.4, "none": 0.3}
+    settle = {law: np.ones(20, dtype=bool) for law in itae}
+    settle["some"][: rng.integers(1, 14)] = settle["none"][:] = False
+    if reference_fails := bool(seed % 2):
+        settle["tde_aismc"][rng.integers(0, 15) :] = False
+    of_law = {
+        law: drawn_rows(rng, 20, settle=settle[law], median=itae[law], scatter=0.02) for law in itae
+    }
+    of_law["unrun"] = [*of_law["best"][1:], dict(boards._MISSING)]
+    standings = [boards._standing(law, rows, tmp_path / "no") for law, rows in of_law.items()]
+    unfit = {"outcomes": (), "figures": dict.fromkeys(boards.SHOWN), "message": "no such frame"}
+    standings.append(boards.Standing(controller="unfit", **unfit))
+    board = boards.Board(mission=mission, standings=tuple(standings), bounds={}, motion=20.0)
+    found = comparison([board])
+    header, cells = summary_rows([board], found)
+    of_column = dict(zip(header, cells, strict=True))
+    assert of_column.pop("mission") == "postcapture"
+    some = f"some ({settle['some'].sum()} of 20), none"
+    unsettled = {"not settled in all runs": some, "not run": "1 law", boards.REFUSED: "unfit"}
+    compared = {"smaller ITAE": "best", "within noise": NONE, "larger ITAE": "2 laws"}
+    if reference_fails:
+        count = settle["tde_aismc"].sum()
+        shown = f" ({count} of 20)" if count else ""
+        unsettled["not settled in all runs"] = f"tde_aismc{shown}, {some}"
+        if count < 6:
+            compared = dict.fromkeys(compared, NONE) | {"settled, no ratio": "best, worse, worst"}
+    assert of_column == compared | unsettled
+    text = comparison_markdown([board], found)
+    assert text.index("| `postcapture` |") < text.index("- `postcapture`, `unfit`: no such frame")
+    assert text.index("`unfit`: no such frame") < text.index("### `postcapture`")
+    page = re.sub("<[^>]*>", " ", benchmark_page([board], [], found))
+    assert page.index("smaller ITAE") < page.index("ITAE ratio")
+
+
+@pytest.mark.slow
+def test_stored_runs_are_written_without_a_run(mission, folder, tmp_path, monkeypatch):
+    """The same files as the benchmark itself; nothing stored is an error."""
+    (tmp_path / "short.yaml").write_text(scenario_to_yaml(mission.scenario))
+    place = Place(mission=load_mission(str(tmp_path / "short.yaml")), folder=tmp_path / "runs")
+    place = dataclasses.replace(place, seeds=3)
+    place.folder.mkdir()
+    for law in ("tdc", "asmc"):
+        source = placed(mission, folder).database(law)
+        target = place.database(law)
+        target.write_bytes(source.read_bytes())
+    monkeypatch.setattr(boards, "resume_campaign", None)
+    command = ["benchmark", str(tmp_path / "short.yaml"), "--stored", "--out", str(tmp_path)]
+    laws = ["-c", "tdc", "-c", "asmc", "-c", "pd_plus"]
+    result = CliRunner().invoke(main, [*command, *laws, "--seeds", "3"])
+    assert result.exit_code == 0, result.output
+    (data,) = json.loads((tmp_path / "benchmark.json").read_text())["missions"].values()
+    outcomes = {law: found["outcomes"] for law, found in data["laws"].items()}
+    settled, missing = ["settled"] * 3, [boards.NOT_RUN] * 3
+    assert outcomes == {"asmc": settled, "tdc": settled, "pd_plus": missing}
+    nothing = CliRunner().invoke(main, [*command, "--seeds", "4"])
+    assert "--stored" in str(nothing.output) + str(nothing.exception)
+    assert nothing.exit_code == 2
 
 
 def test_six_missions_are_compared_by_default():
@@ -153,7 +221,7 @@ def copied(folder, to):
 
 @pytest.mark.smoke
 def test_laws_are_ranked_with_the_same_seeds(mission, folder, monkeypatch):
-    """Every law; one that cannot be built does not apply."""
+    """Every law; the mission refuses one that cannot be built."""
     monkeypatch.setattr(boards, "shipped_names", lambda _: ("tdc", "asmc", "no_such_law"))
     board = run_mission(placed(mission, folder), [], workers=HERE)
     ranked = [standing.controller for standing in board.standings]
@@ -170,7 +238,7 @@ def test_laws_are_ranked_with_the_same_seeds(mission, folder, monkeypatch):
     (found,) = check_mission(board)
     assert found.found == tdc.figures["isv"]
     assert found.holds
-    assert re.search("no_such_law +does not apply", board_text(board))
+    assert re.search("no_such_law +refused by the mission", board_text(board))
 
 
 def test_an_interrupted_benchmark_goes_on(mission, folder, tmp_path):
