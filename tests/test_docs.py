@@ -33,6 +33,7 @@ from ffsm_drake.cli import main
 from ffsm_drake.common.registrations import own_plugins
 from ffsm_drake.loop.blocks import BLOCKS
 from ffsm_drake.mission import make_mission
+from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import (
     Scenario,
     load_scenario,
@@ -296,6 +297,22 @@ def test_python_examples_run(page, tmp_path, monkeypatch):
 )
 def test_scenario_fragments_are_valid(page, text):
     assert scenario_to_dict(scenario_from_yaml(text)) != scenario_to_dict(Scenario()), page
+
+
+WHOLE = [
+    pytest.param(text, id=f"{page.stem}-{number}")
+    for page in PAGES
+    for number, text in enumerate(blocks(page, "yaml"))
+    if re.search(r"^extends:", text, flags=re.MULTILINE)
+    and not re.search(r"\bmy_\w+:", text)  # a module of the page
+]
+
+
+@pytest.mark.long  # one searches for a start without contact
+@pytest.mark.parametrize("text", WHOLE)
+def test_a_scenario_of_a_page_can_begin(text: str) -> None:
+    """All that comes before the first sample, such as the plan of an approach, succeeds."""
+    make_rollout(make_mission(scenario_from_yaml(text)))
 
 
 def with_table(page: str) -> str:
