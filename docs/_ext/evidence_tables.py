@@ -202,21 +202,48 @@ def kind_table() -> str:
     return "\n".join(lines)
 
 
-def requirements() -> Any:
-    """The requirements with page and tests, by identifier."""
-    return yaml.safe_load(REQUIREMENTS.read_text(encoding="utf-8"))
+class Requirement(NamedTuple):
+    """A promise, the page that makes it, the tests of it, and where it is known to fail."""
+
+    text: str
+    page: str
+    tests: list[str]
+    exception: str  # empty: none is known
+
+
+def requirements() -> dict[str, Requirement]:
+    """The requirements by identifier."""
+    found = {}
+    data = yaml.safe_load(REQUIREMENTS.read_text(encoding="utf-8"))
+    for name, (text, page, *rest) in data.items():
+        tests = [item for item in rest if item.startswith("tests/")]
+        exceptions = [item for item in rest if not item.startswith("tests/")]
+        found[name] = Requirement(text, page, tests, " ".join(exceptions))
+    return found
+
+
+def state(requirement: Requirement) -> str:
+    """Whether a requirement is met, as far as its tests and the other evidence show."""
+    if not requirement.tests:
+        return "**not met**"
+    return f"**partly**: {requirement.exception}" if requirement.exception else "tests pass"
 
 
 def requirement_table() -> str:
     """The requirements with their tests, as Markdown."""
-    lines = ["| requirement | text | tests |", "|---|---|---|"]
-    for name, (text, page, *tests) in requirements().items():
+    lines = ["| requirement | text | state | tests |", "|---|---|---|---|"]
+    for name, requirement in requirements().items():
         shown = [
             f"`{file.removeprefix('tests/')}`<br>`::{function}`"
-            for file, function in (test.split("::") for test in tests)
+            for file, function in (test.split("::") for test in requirement.tests)
         ]
-        cell = "<br>".join(shown) or "**no test**"
-        lines.append(f"| [{name}](../{page}.md) | {text} | {cell} |")
+        cells = (
+            f"[{name}](../{requirement.page}.md)",
+            requirement.text,
+            state(requirement),
+            "<br>".join(shown) or "**no test**",
+        )
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
