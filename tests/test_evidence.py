@@ -123,10 +123,16 @@ def test_a_figure_without_a_source_is_assumed():
         assert row.kind == "assumed" or row.source != "none", row
 
 
+PARTS = ("parameters", "derive")
+
+
 def test_a_figure_of_the_campaigns_is_varied_in_one():
     files = (ROOT / "benchmarks" / "assumed_inputs").glob("*.yaml")
     specs = [yaml.safe_load(path.read_text()) for path in files]
-    keys = {key: None for spec in specs for key in [*spec["parameters"], *spec["derive"]]}
+    names = {name for spec in specs for part in PARTS for name in spec.get(part, ())}
+    names |= {re.sub(r"\.\d$", "", name) for name in names}  # the list of an entry
+    names |= {name.removeprefix("actuation.thrusters.") for name in names}  # as in a layout
+    keys = dict.fromkeys(names)
     rows = [row for row in tables.setting_rows() if "#which-assumed-figures-decide" in row.spread]
     assert rows
     for row in rows:
