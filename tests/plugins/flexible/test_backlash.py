@@ -1,4 +1,6 @@
-"""Backlash of a flexible gear, against the piecewise solution of two free bodies."""
+"""Backlash of a flexible gear, against the piecewise solution of two free bodies, and limit cycles
+against the describing function.
+"""
 
 import os
 
@@ -8,6 +10,8 @@ from c_code import needs_llvm
 from compared_runs import check
 from entry_points import needs
 from refusals import assert_refused
+from scipy.linalg import expm
+from scipy.optimize import brentq
 
 from ffsm_drake import simulate
 from ffsm_drake.scenario import scenario_from_dict
@@ -33,7 +37,7 @@ def geared(tmp_path_factory):
     for name, text in (("servicer", SERVICER), ("debris", DEBRIS)):
         (folder / f"{name}.urdf").write_text(text)
 
-    def make(stiffness, gap, torque, *, duration=2.0, gains=1e-9, seed=0):
+    def make(stiffness, gap, torque, *, duration=2.0, gains=1e-9, seed=0, k_p=None, **further):
         payload = {"mass": 20.0, "center_of_mass": [0, 0, 0], "inertia": [3.0, 3.0, 3.0]}
         gear = {"kind": "gear", "joint": "hinge", "stiffness": stiffness, "damping_ratio": 0.0}
         return scenario_from_dict(
@@ -41,7 +45,7 @@ def geared(tmp_path_factory):
                 "duration": duration,
                 "random_seed": seed,
                 "controller": "pd_plus",
-                "controllers": {"pd_plus": {"k_d": gains, "k_p": gains}},
+                "controllers": {"pd_plus": {"k_d": gains, "k_p": k_p or gains}},
                 "model": {
                     "servicer": str(folder / "servicer.urdf"),
                     "debris": str(folder / "debris.urdf"),
@@ -50,11 +54,15 @@ def geared(tmp_path_factory):
                     "grasp": "debris::debris",
                     "flexible": {"gear": gear},
                 },
-                "simulator_config": {"max_step_size": 2.5e-4},
+                "simulator_config": {"max_step_size": further.get("step", 2.5e-4)},
                 "payload": {"truth": payload, "nominal": payload},
                 "sensing": {"position_noise": 0.0, "velocity_noise": 0.0},
                 "disturbance": {"harmonics": {"hinge": {"bias": torque}}},
-                "actuation": {"drives": {"rotor_inertia": {"hinge": ROTOR}}},
+                "actuation": {
+                    "drives": {"rotor_inertia": {"hinge": ROTOR}},
+                    "delay": further.get("delay", 0),
+                },
+                "initial_velocity": {"hinge": further.get("speed", 0.0)},
                 "effects": {"backlash": {"gap": {"gear": gap}}},
             }
         )
@@ -107,6 +115,65 @@ def test_free_travel_and_contact_are_those_of_the_piecewise_solution(geared, see
 @pytest.mark.slow
 def test_compiled_runs_are_those_of_drake(geared):
     check([geared(500.0, 5e-3, 0.5, duration=0.6, gains=5.0, seed=k) for k in range(2)])
+
+
+LAG, PERIOD = 5, 0.01  # samples of the force, s
+
+
+def slowest(stiffness, k_p, k_d):
+    """The eigenvalue of the sampled loop with the largest modulus, of a gear without a gap.
+
+    Coordinates: angle of the base, of the rotor from the base, and of the gear. The force of the
+    rotor acts after the lag. The angle of the base is free, and its rate has the eigenvalue 1.
+    """
+    inertia = np.array([[BASE + LINK, LINK, LINK], [LINK, ROTOR + LINK, LINK], [LINK, LINK, LINK]])
+    rates = np.zeros((7, 7))
+    rates[:3, 3:6], rates[3:6, 6] = np.eye(3), np.linalg.solve(inertia, [0.0, 1.0, 0.0])
+    rates[3:6, :3] = -np.linalg.solve(inertia, np.diag([0.0, 0.0, stiffness]))
+    sample, loop = expm(PERIOD * rates), np.zeros((6 + LAG, 6 + LAG))
+    loop[:6, :6], loop[:6, -1] = sample[:6, :6], sample[:6, 6]
+    loop[6, 1], loop[6, 4] = -k_p, -k_d
+    loop[7:, 6:-1] = np.eye(LAG - 1)
+    found = np.linalg.eigvals(loop[1:, 1:])
+    found = found[np.abs(found - 1.0) > 1e-7]
+    return found[np.argmax(np.abs(found))]
+
+
+def describing(ratio):
+    """Stiffness of a dead band of half width b at the amplitude A, as a share of that without it;
+    ratio = b / A (A. Gelb and W. E. Vander Velde, Multiple-Input Describing Functions, 1968).
+    """
+    return 1.0 - 2.0 / np.pi * (np.arcsin(ratio) + ratio * np.sqrt(1.0 - ratio**2))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(int(os.environ.get("BACKLASH_DRAWS", "4"))))
+def test_limit_cycles_are_those_of_the_describing_function(geared, seed):
+    """A late rotor loop is unstable within the gap, and stable with the spring. Amplitude and
+    frequency of the limit cycle follow from the stiffness at which the loop is marginal.
+    """
+    draw = np.random.default_rng(seed)
+    lag, crossing = (LAG + 0.5) * PERIOD, draw.uniform(1.7, 2.4)
+    k_d = ROTOR * crossing / lag
+    k_p = draw.uniform(0.05, 0.15) * k_d * crossing / lag
+    marginal = brentq(lambda value: abs(slowest(value, k_p, k_d)) - 1.0, 7e3, 1.6e4)
+    share, gap = draw.uniform(0.6, 0.85), draw.uniform(2e-3, 1e-2)
+    stiffness = marginal / share
+    assert abs(slowest(stiffness, k_p, k_d)) < 1.0 < abs(slowest(0.5 * marginal, k_p, k_d))
+    amplitude = 0.5 * gap / brentq(lambda ratio: describing(ratio) - share, 1e-6, 1.0)
+    turn = abs(np.angle(slowest(marginal, k_p, k_d))) / PERIOD  # rad/s
+    scenario = geared(
+        stiffness, gap, 0.0, duration=12.0, gains={"all": 1e-9, "joints": k_d},
+        k_p={"all": 1e-9, "joints": k_p}, delay=LAG, speed=30.0 * gap, step=1e-3,
+    )  # fmt: skip
+    data = simulate(scenario, check_stability=False, engine="drake").dataset
+    late = data["time"].values >= 8.0
+    time, angle = data["time"].values[late], data["hidden_position"].values[late, 0]
+    rates = np.linspace(0.9 * turn, 1.1 * turn, 401)
+    lines = np.abs(np.exp(-1j * np.outer(rates, time)) @ (angle - angle.mean()))
+    first = 2.0 * lines.max() / time.size  # amplitude of the first harmonic
+    assert first == pytest.approx(amplitude, rel=0.02)
+    assert rates[np.argmax(lines)] == pytest.approx(turn, rel=2e-3)
 
 
 def test_an_unknown_gear_is_refused():
