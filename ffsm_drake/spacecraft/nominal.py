@@ -135,6 +135,7 @@ class PlantModel:
         """J' v (..., 6) of a frame F: its [alpha_WF; a_WF] at constant v (..., nv), rad/s^2, m/s^2.
 
         a_WF is the acceleration of F's origin; world axes. Args and errors as ``calc_jacobian``.
+        Drake takes the default pose of F on its body, so F must not be displaced in the context.
         """
         self._set_state(q, v)
         world = seen_from or self.plant.world_frame()
@@ -166,9 +167,8 @@ class PlantModel:
         """[w_WF; v_WF] (6) of a frame F at q (nq), v (nv), world axes, rad/s, m/s. Args and errors
         as ``calc_jacobian``.
         """
-        self._set_state(q, v)
-        moving = self._frame(frame).CalcSpatialVelocityInWorld(self.context)
-        return np.array(moving.get_coeffs())
+        # Drake's velocity of a frame ignores a pose that is set in a context
+        return self.calc_jacobian(q, frame) @ v
 
     def calc_point_jacobian(
         self, q: np.ndarray, frame: Frame | str, point: np.ndarray

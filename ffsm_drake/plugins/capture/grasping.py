@@ -242,7 +242,7 @@ def mismatch_of(
     model.plant.SetPositionsAndVelocities(model.context, np.concatenate([q, v]))
     hand = hand_frame(model.plant, scenario.model)
     p_WP = payload_body(scenario, model).EvalPoseInWorld(model.context).translation()
-    moving = hand.CalcSpatialVelocityInWorld(model.context).get_coeffs()
+    moving = model.calc_frame_twist(q, v, hand)
     there = twist.copy()
     there[3:] += np.cross(twist[:3], hand.CalcPoseInWorld(model.context).translation() - p_WP)
     return there - moving

@@ -84,7 +84,7 @@ class Case:
         self._drift = self._errors.drift()
         settled = mission.of(settle_faults(scenario, self.coordinates))
         plain = BlockSetup(name="", mission=settled, nominal=self.nominal, settings={})
-        reader_of(self.true.plant)  # refuses an unknown joint before a block is made
+        reader_of(self.true)  # refuses an unknown joint before a block is made
         self.made = ScenarioBlocks(plain, self._errors, blocks)
         self.parts = self.made.parts
         found = parameters_of(self.parts, "blocks")
@@ -103,7 +103,7 @@ class Case:
         scenario, force = self.scenario, self.scenario.actuation
         vector = self.coordinates.vector
         return {
-            "own": reader_of(self.true.plant).parameters(self.true.context),
+            "own": reader_of(self.true).parameters(self.true.context),
             "parts": parts,
             "deviation": self._errors.deviation,
             "limit": vector(force.limit or {}, key="actuation.limit", default=np.inf),
@@ -121,7 +121,7 @@ class Case:
 
     def _structure(self, num_numbers: int, *, is_limp: bool) -> Structure:
         """What its code depends on but parts and law, by the names of ``Blocks``."""
-        split, tree = self.true.split, reader_of(self.true.plant).tree
+        split, tree = self.true.split, reader_of(self.true).tree
         known = split.known_part(np.arange(self.true.plant.num_multibody_states()))
         forced = split.known_velocities(np.arange(tree.num_velocities))
         return Structure(
@@ -180,7 +180,7 @@ class Case:
             last=loaded(of.last),
             supervisor=loaded(of.supervisor),
         )
-        own = reader_of(self.true.plant).parameters(other.true.context)
+        own = reader_of(self.true).parameters(other.true.context)
         found = parameters_of(other.parts, "blocks").values
         other.parameters = self.parameters | {"own": own, "parts": found}
         return other

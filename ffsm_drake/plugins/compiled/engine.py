@@ -40,7 +40,8 @@ BLOCKS = {"reference", "sensing", "controller", "actuation", "forces.disturbance
 # with signals
 _PARTS = {
     "sensing.detection", "flexible", "actuation.wheels", "actuation.drives",
-    "actuation.thrusters", "actuation.link", "supervisor", "forces.gripper", "controller",
+    "actuation.thrusters", "actuation.link", "geometry", "supervisor", "forces.gripper",
+    "controller",
 }  # fmt: skip
 _OWN = re.compile(r"(sensing|phases)\..*|forces\.(?!disturbance|gripper).*")  # of users
 _KEPT = 16  # kernels
@@ -65,7 +66,6 @@ class Compiled(Engine):
              scenario.approach is not None and detects(scenario)),
             ("contacts with capture.approach", scenario.contacts and scenario.approach),
             ("contacts that close later", closing_times(scenario)[1:]),
-            ("effects.geometry", getattr(scenario.effects, "geometry", None) is not None),
             ("error control", config.use_error_control),
             ("a real-time clock", config.target_realtime_rate > 0.0),
             (f"integration_scheme {config.integration_scheme}",

@@ -48,49 +48,50 @@ class TracedModel(PlantModel):
     ) -> np.ndarray:
         """See PlantModel."""
         if seen_from is not None:
-            return frames.relative_jacobian(self.tree, _known(frame), _known(seen_from), q)
-        return frames.jacobian(self.tree, _known(frame), q)
+            return frames.relative_jacobian(
+                self.tree, self._known(frame), self._known(seen_from), q
+            )
+        return frames.jacobian(self.tree, self._known(frame), q)
 
     def calc_bias_acceleration(
         self, q: np.ndarray, v: np.ndarray, frame: Frame | str, seen_from: Frame | None = None
     ) -> np.ndarray:
         """See PlantModel."""
         if seen_from is not None:
-            return frames.relative_bias(self.tree, _known(frame), _known(seen_from), q, v)
-        return frames.bias_acceleration(self.tree, _known(frame), q, v)
+            return frames.relative_bias(self.tree, self._known(frame), self._known(seen_from), q, v)
+        return frames.bias_acceleration(self.tree, self._known(frame), q, v)
 
     def calc_frame_pose(
         self, q: np.ndarray, frame: Frame | str, seen_from: Frame | None = None
     ) -> np.ndarray:
         """See PlantModel."""
-        rotation, origin = frames.pose(self.tree, _known(frame), q)
+        rotation, origin = frames.pose(self.tree, self._known(frame), q)
         if seen_from is not None:
-            own, from_there = frames.pose(self.tree, _known(seen_from), q)
+            own, from_there = frames.pose(self.tree, self._known(seen_from), q)
             rotation, origin = own.T @ rotation, own.T @ (origin - from_there)
         return traced([*quaternion_of(rotation), *origin])
 
     def calc_frame_rotation(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
         """See PlantModel."""
-        return frames.pose(self.tree, _known(frame), q)[0]
+        return frames.pose(self.tree, self._known(frame), q)[0]
 
     def calc_frame_twist(self, q: np.ndarray, v: np.ndarray, frame: Frame | str) -> np.ndarray:
         """See PlantModel."""
-        return frames.twist(self.tree, _known(frame), q, v)
+        return frames.twist(self.tree, self._known(frame), q, v)
 
     def calc_point_jacobian(
         self, q: np.ndarray, frame: Frame | str, point: np.ndarray
     ) -> np.ndarray:
         """See PlantModel."""
-        return frames.point_jacobian(self.tree, _known(frame), q, point)
+        return frames.point_jacobian(self.tree, self._known(frame), q, point)
 
     def _set_state(self, q: np.ndarray, v: np.ndarray | None = None) -> None:
         raise NotTraceable("the law asks its model for more than its equations and frames")
 
-
-def _known(frame: Frame | str) -> Place:
-    if not isinstance(frame, Place):
-        raise NotTraceable("the law takes a frame by its name; keep the frame in a field")
-    return frame
+    def _known(self, frame: Frame | str) -> Place:
+        if not isinstance(frame, Place):
+            raise NotTraceable("the law takes a frame by its name; keep the frame in a field")
+        return self.tree.place_in(frame, self.own)
 
 
 class PosedModel(PlantModel):
@@ -102,8 +103,10 @@ class PosedModel(PlantModel):
         """See PlantModel."""
         if q.ndim == 1 or isinstance(frame, str):
             return super().calc_frame_pose(q, frame, seen_from)
-        reader = reader_of(self.plant)
-        rotation, origin = frames.pose(reader.tree, reader.place_of(frame), q)
+        reader = reader_of(self)
+        own = reader.parameters(self.context)
+        place = reader.tree.place_in(reader.place_of(frame), own)
+        rotation, origin = frames.pose(reader.tree.placed(own), place, q)
         quaternion = np.stack(quaternion_of(np.moveaxis(rotation, (-2, -1), (0, 1))), axis=-1)
         return np.concatenate([quaternion, origin], axis=-1)
 
@@ -129,7 +132,7 @@ def traced_model(model: PlantModel, own: np.ndarray) -> TracedModel:
     unknown: Any = _Unknown()
     return kind(
         plant=unknown, context=unknown, coordinates=model.coordinates, split=model.split,
-        own=own, tree=reader_of(model.plant).tree,
+        own=own, tree=reader_of(model).tree.placed(own),
     )  # fmt: skip
 
 

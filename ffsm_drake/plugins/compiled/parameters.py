@@ -107,10 +107,16 @@ def with_symbols(law: Law, symbols: np.ndarray, planned: np.ndarray, model: Mode
     return _replaced(law, "the law", _Replacement(number, lambda constant: None, model, row))
 
 
+def reader_of(model: PlantModel) -> Reader:
+    """Return the reader of the plant of a model, with the frames that are displaced in its context.
+    Raises NotCovered.
+    """
+    return _reader(model.plant, _reader(model.plant, ()).displaced_in(model.context))
+
+
 @functools.lru_cache(maxsize=64)
-def reader_of(plant: MultibodyPlant) -> Reader:
-    """Return the reader of a plant's joint tree. Raises NotCovered."""
-    return Reader(plant)
+def _reader(plant: MultibodyPlant, displaced: tuple[int, ...]) -> Reader:
+    return Reader(plant, displaced)
 
 
 class _Replacement(NamedTuple):
@@ -125,11 +131,11 @@ class _Replacement(NamedTuple):
 def _replaced(value: Any, place: str, new: _Replacement) -> Any:
     """An object with other numbers, models and tables by sample."""
     if type(value) in (PlantModel, ReducedModel):
-        reader = reader_of(value.plant)
+        reader = reader_of(value)
         new.constant((type(value).__name__, value.coordinates.undriven, reader.tree))
         return new.model(value, new.number(reader.parameters(value.context)))
     if isinstance(value, Frame):
-        placed = reader_of(value.GetParentPlant()).place_of(value)
+        placed = _reader(value.GetParentPlant(), ()).place_of(value)
         new.constant(placed)
         return placed
     if hasattr(type(value), "constants"):

@@ -4,8 +4,16 @@ from collections.abc import Hashable
 from typing import Any
 
 import numpy as np
+from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, ForceElementIndex, RevoluteSpring, SpatialInertia
+from pydrake.multibody.tree import (
+    BodyIndex,
+    FixedOffsetFrame,
+    ForceElementIndex,
+    FrameIndex,
+    RevoluteSpring,
+    SpatialInertia,
+)
 from pydrake.systems.framework import Context
 
 from ffsm_drake.common.memo import content_of
@@ -25,16 +33,26 @@ def held_to_drake(tree: Tree, *, plant: MultibodyPlant) -> None:
     """Compare the equations of a plant's tree with the plant. Raises NotCovered: they differ."""
     if (content := content_of(tree)) in _EQUAL:
         return
-    found = max(differences(plant).values(), key=lambda each: (np.isnan(each), each))
+    found = max(
+        differences(plant, tree.displaced).values(), key=lambda each: (np.isnan(each), each)
+    )
     if not found <= LARGEST_DIFFERENCE:
         raise NotCovered(f"equations that differ from Drake by {found:.1e}")
     _EQUAL.add(content)
 
 
-def differences(plant: MultibodyPlant) -> dict[str, float]:
-    """Return the largest differences in random states, as shares of what is compared."""
-    reader, random = Reader(plant), np.random.default_rng(_SEED)
+def differences(plant: MultibodyPlant, displaced: tuple[int, ...] = ()) -> dict[str, float]:
+    """Return the largest differences in random states, as shares of what is compared.
+
+    Args: the plant; its displaced frames (``Tree.displaced``); those of joints move at random.
+    """
+    reader, random = Reader(plant, displaced), np.random.default_rng(_SEED)
     context = _varied(plant, random)
+    for index in {link.frame for link in reader.tree.links} & {*displaced}:
+        frame = plant.get_frame(FrameIndex(index))
+        if isinstance(frame, FixedOffsetFrame):
+            by = RigidTransform(RollPitchYaw(*random.normal(size=3)), random.normal(size=3))
+            frame.SetPoseInParentFrame(context, frame.GetPoseInParentFrame(context) @ by)
     tree, own = reader.tree, reader.parameters(context)
     largest: dict[str, float] = {}
 

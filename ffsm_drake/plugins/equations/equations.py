@@ -82,7 +82,7 @@ def inverse_dynamics(tree: Tree, q: Any, v: Any, a: Any, own: Any) -> list[Any]:
 
 def mass_matrix(tree: Tree, q: Any, own: Any) -> list[list[Any]]:
     """H (nv, nv), symmetric."""
-    size, count = tree.num_velocities, len(tree.links)
+    size, count, tree = tree.num_velocities, len(tree.links), tree.placed(own)
     poses = {body: _Pose.of(link, q) for body, link in enumerate(tree.links, start=1)}
     whole = [own[tree.inertia_rows(body)] for body in range(count + 1)]
     for body in range(count, 0, -1):
@@ -126,7 +126,7 @@ class _Motion:
         self.twists = [_turned(self.world).T @ v[tree.base_velocity :][:6]]  # [w; v] of each body
         self.joints: dict[int, _Joint] = {}
         self._rows = [own[tree.inertia_rows(body)] for body in range(len(tree.links) + 1)]
-        for body, link in enumerate(tree.links, start=1):
+        for body, link in enumerate(tree.placed(own).links, start=1):
             pose, axis = _Pose.of(link, q), _axis(link)
             moved = v[link.velocity] * axis
             twist = pose.motion_down(self.twists[link.parent]) + moved
@@ -179,7 +179,7 @@ class _Pose:
 
     @classmethod
     def of(cls, link: Link, q: Any) -> "_Pose":
-        rotation, place = np.array(link.rotation), np.array(link.place)
+        rotation, place = np.asanyarray(link.rotation), np.asanyarray(link.place)
         if link.slides:
             return cls((rotation,), place + rotation @ (q[link.position] * np.array(link.axis)))
         angle = q[link.position : link.position + 1, None]

@@ -137,7 +137,7 @@ def _way(tree: Tree, place: Place, q: Any) -> tuple[Any, list[_Step], Any, Any]:
     rotation, origin = matrix_of(q[..., first : first + 4]), q[..., first + 4 : first + 7]
     for body in reversed(list(_ancestors(tree, place.body))):
         link = tree.links[body - 1]
-        own, turned = np.array(link.place), rotation @ np.array(link.rotation)
+        own, turned = np.asanyarray(link.place), rotation @ np.asanyarray(link.rotation)
         axis = turned @ np.array(link.axis)
         shift = rotation @ own
         if link.slides:
@@ -147,8 +147,8 @@ def _way(tree: Tree, place: Place, q: Any) -> tuple[Any, list[_Step], Any, Any]:
         origin = origin + shift
         steps.append(_Step(link.velocity, link.slides, axis, shift, origin))
         rotation = turned
-    shift = rotation @ np.array(place.place)
-    return rotation @ np.array(place.rotation), steps, shift, origin + shift
+    shift = rotation @ np.asanyarray(place.place)
+    return rotation @ np.asanyarray(place.rotation), steps, shift, origin + shift
 
 
 def _ancestors(tree: Tree, body: int) -> Iterator[int]:

@@ -3,14 +3,19 @@ code, and parameters of each copy.
 """
 
 import dataclasses
-from typing import NamedTuple
+import functools
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import (
     BodyIndex,
+    FixedOffsetFrame,
     ForceElementIndex,
     Frame,
+    FrameIndex,
     Joint,
     PrismaticSpring,
     RevoluteSpring,
@@ -23,8 +28,10 @@ from ffsm_drake.spacecraft.inertia import SIX
 
 _INERTIA = 10  # parameters of a body: mass, mass times centre of mass, inertia xx yy zz xy xz yz
 _JOINT = 3  # parameters of a joint: damping, reflected inertia of its rotor, stiffness
+_FRAME = 12  # parameters of a displaced frame: its rotation, its place in m
 _AXES = {"revolute": "revolute_axis", "prismatic": "translation_axis"}
 _MOST_LINKS = 60  # whose code is made in 5 s
+_NEAR = 1e-12  # entries of rotations, and m, by which a frame is not displaced
 _EXACT = 1e-15  # entries of rotations nearer than this to -1, 0 or 1 are these
 
 
@@ -40,6 +47,7 @@ class Link:
     position: int  # index in q
     velocity: int  # index in v
     rest: float | None  # position without a spring's force, rad or m; None: no spring
+    frame: int  # index of F in the plant
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -51,10 +59,15 @@ class Tree:
     base_position: int  # index in q of quaternion, position
     base_velocity: int  # index in v of angular velocity, velocity
     links: tuple[Link, ...]
+    displaced: tuple[int, ...] = ()  # frames whose poses are parameters, not constants
 
     @property
     def num_parameters(self) -> int:
         """Number of parameters of a copy."""
+        return self._num_bodies + _FRAME * len(self.displaced)
+
+    @property
+    def _num_bodies(self) -> int:
         return _INERTIA * (len(self.links) + 1) + _JOINT * len(self.links)
 
     def inertia_rows(self, body: int) -> slice:
@@ -66,6 +79,31 @@ class Tree:
         first = _INERTIA * (len(self.links) + 1) + _JOINT * (body - 1)
         return slice(first, first + _JOINT)
 
+    def placed(self, own: Any) -> "Tree":
+        """Return the tree with the poses that its parameters give to displaced frames."""
+        if not self.displaced:
+            return self
+        links = (
+            dataclasses.replace(link, **self._pose(link.frame, own))
+            if link.frame in self.displaced
+            else link
+            for link in self.links
+        )
+        return dataclasses.replace(self, links=tuple(links))
+
+    def place_in(self, place: "Place", own: Any) -> "Place":
+        """Return a place with the pose that the parameters give to its frame, if displaced."""
+        if place.frame not in self.displaced:
+            return place
+        return place._replace(**self._pose(place.frame, own))
+
+    def _pose(self, frame: int, own: Any) -> dict[str, Any]:
+        first = self._num_bodies + _FRAME * self.displaced.index(frame)
+        return {
+            "rotation": own[first : first + 9].reshape(3, 3),
+            "place": own[first + 9 : first + _FRAME],
+        }
+
 
 class Place(NamedTuple):
     """A frame that is fixed to a body of a tree."""
@@ -73,26 +111,31 @@ class Place(NamedTuple):
     body: int  # 0: the base, i: link i - 1
     rotation: tuple[tuple[float, ...], ...]  # (3, 3) in the body's frame
     place: tuple[float, ...]  # (3) of its origin there, m
+    frame: int  # index in the plant
 
 
 class Reader:
     """Reads the tree of a plant, and the parameters of its contexts."""
 
-    def __init__(self, plant: MultibodyPlant) -> None:
-        """Raises NotCovered: the plant has what the equations do not cover."""
+    def __init__(self, plant: MultibodyPlant, displaced: tuple[int, ...] = ()) -> None:
+        """Args: the plant; see ``Tree.displaced``.
+
+        Raises NotCovered: the plant has what the equations do not cover.
+        """
         _check(plant)
-        self._plant = plant
+        self._plant, self._default = plant, plant.CreateDefaultContext()
         (base,) = (plant.get_body(index) for index in plant.GetFloatingBaseBodies())
         self._frames, self._groups = [base.body_frame()], [_welded(plant, base)]
         self._joints: list[Joint] = []
         self._springs = _springs(plant)
-        links = self._links(plant.CreateDefaultContext())
+        links = self._links(self._default)
         self.tree = Tree(
             num_positions=plant.num_positions(),
             num_velocities=plant.num_velocities(),
             base_position=base.floating_positions_start(),
             base_velocity=base.floating_velocities_start_in_v(),
             links=tuple(links),
+            displaced=displaced,
         )
         rotors = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
         self._rotors = {rotor.joint().index(): rotor for rotor in rotors}
@@ -125,6 +168,7 @@ class Reader:
                         position=joint.position_start(),
                         velocity=joint.velocity_start(),
                         rest=None if spring is None else _rest(spring),
+                        frame=int(joint.frame_on_parent().index()),
                     )
                 )
                 group = _welded(plant, joint.child_body())
@@ -140,13 +184,56 @@ class Reader:
         return links
 
     def place_of(self, frame: Frame) -> Place:
-        """Where a frame of the plant is."""
-        index = frame.body().index()
-        body = next(i for i, group in enumerate(self._groups) if index in group)
-        context = self._plant.CreateDefaultContext()
-        X = self._plant.CalcRelativeTransform(context, self._frames[body], frame)
+        """Where a frame of the plant is, if it is not displaced."""
+        body, X = self._body_of(frame), self._pose_in(self._default, frame)
         rotation = tuple(map(_exact, X.rotation().matrix()))
-        return Place(body, rotation, tuple(X.translation().tolist()))
+        return Place(body, rotation, tuple(X.translation().tolist()), int(frame.index()))
+
+    def displaced_in(self, context: Context) -> tuple[int, ...]:
+        """The frames of the plant that are elsewhere on their bodies than in a default context."""
+        if not any(
+            not each.GetPoseInParentFrame(context).IsExactlyEqualTo(pose)
+            for each, pose in self._offsets
+        ):
+            return ()
+        there = self._unposed(context)
+
+        def is_elsewhere(frame: Frame) -> bool:
+            usual = self._pose_in(self._default, frame)
+            return not self._pose_in(there, frame).IsNearlyEqualTo(usual, _NEAR)
+
+        frames = map(self._plant.get_frame, self._all_frames())
+        return tuple(int(frame.index()) for frame in frames if is_elsewhere(frame))
+
+    @functools.cached_property
+    def _offsets(self) -> list[tuple[FixedOffsetFrame, RigidTransform]]:
+        """The frames that a context can displace, with their default poses."""
+        frames = map(self._plant.get_frame, self._all_frames())
+        return [
+            (each, each.GetPoseInParentFrame(self._default))
+            for each in frames
+            if isinstance(each, FixedOffsetFrame)
+        ]
+
+    def _all_frames(self) -> Iterable[FrameIndex]:
+        """All but the frame of the world and those on it."""
+        indices = map(FrameIndex, range(1, self._plant.num_frames()))
+        on_bodies = {body for group in self._groups for body in group}
+        return (each for each in indices if self._plant.get_frame(each).body().index() in on_bodies)
+
+    def _body_of(self, frame: Frame) -> int:
+        index = frame.body().index()
+        return next(i for i, group in enumerate(self._groups) if index in group)
+
+    def _pose_in(self, context: Context, frame: Frame) -> RigidTransform:
+        body = self._frames[self._body_of(frame)]
+        return self._plant.CalcRelativeTransform(context, body, frame)
+
+    def _unposed(self, context: Context) -> Context:
+        """A context with the default positions, for poses without rounding by its own ones."""
+        there = context.Clone()
+        self._plant.SetPositions(there, self._plant.GetPositions(self._default))
+        return there
 
     def parameters(self, context: Context) -> np.ndarray:
         """The parameters (``Tree.num_parameters``) in a context of the plant."""
@@ -154,7 +241,14 @@ class Reader:
             _inertia(self._plant, context, frame, group)
             for frame, group in zip(self._frames, self._groups, strict=True)
         ]
-        return np.concatenate([*bodies, *(self._of_joint(each, context) for each in self._joints)])
+        joints = (np.array(self._of_joint(each, context)) for each in self._joints)
+        rows = [*bodies, *joints]
+        if self.tree.displaced:
+            there = self._unposed(context)
+            for index in self.tree.displaced:
+                X = self._pose_in(there, self._plant.get_frame(FrameIndex(index)))
+                rows += [X.rotation().matrix().ravel(), X.translation()]
+        return np.concatenate(rows)
 
     def _of_joint(self, joint: Joint, context: Context) -> list[float]:
         rotor, spring = self._rotors.get(joint.index()), self._springs.get(joint.index())

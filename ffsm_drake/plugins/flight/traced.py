@@ -149,7 +149,7 @@ class FlightLaw:
 
     def mass_matrix(self, precision: Precision) -> Function:
         """The mass matrix ``H`` (nv nv) of the nominal model at a configuration ``q`` (nq)."""
-        tape, reader = Tape(), reader_of(self.nominal.plant)
+        tape, reader = Tape(), reader_of(self.nominal)
         own = traced(reader.parameters(self.nominal.context).tolist())
         q = inputs(tape, "q", (self.coordinates.num_positions,))
         rows = traced(equations.mass_matrix(reader.tree, q, own))

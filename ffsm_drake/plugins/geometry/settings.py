@@ -73,8 +73,6 @@ class Geometry:
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Check that the target is held by one hand from the start."""
-        if scenario.capture is not None:
-            yield key, "needs a target that is held from the start; remove capture"
+        """Check that one hand holds the target: a displaced chain of two arms does not close."""
         if len(scenario.contacts) > 1:
             yield key, "needs a single hand; remove contacts"

@@ -6,11 +6,17 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
+from c_code import needs_llvm
+from compared_runs import check, of_seeds
+from entry_points import needs
+from near_captures import SHORT
 from refusals import assert_refused
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario, make_nominal_plant, make_true_plant, simulate
+from ffsm_drake.plugins.equations import comparison, frames
+from ffsm_drake.plugins.equations.tree import Reader
 from ffsm_drake.spacecraft.plant import models_dir
 
 URDFS = {"postcapture": "servicer.urdf", "seven_joint": "ssrms_servicer.urdf"}
@@ -144,6 +150,83 @@ def test_the_dynamics_are_those_of_a_changed_model_file(tmp_path):
         assert true.calc_bias(q, v) == pytest.approx(changed.calc_bias(q, v), rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.parametrize("name", URDFS)
+def test_displaced_frames_are_parameters_of_the_equations(name):
+    """Equations and frames on numbers, with all frames of the arm displaced, against Drake."""
+    models = [
+        make_true_plant(load_scenario(name, [{"effects": {"geometry": drawn(name, seed)}}]))
+        for seed in range(2)
+    ]
+    plain = Reader(models[0].plant)
+    assert plain.displaced_in(make_nominal_plant(load_scenario(name)).context) == ()
+    readers = [Reader(each.plant, plain.displaced_in(each.context)) for each in models]
+    trees = {reader.tree for reader in readers}
+    assert len(trees) == 1  # the same code for both
+    (tree,) = trees
+    assert {link.frame for link in tree.links} < {*tree.displaced}
+    assert max(comparison.differences(models[0].plant, tree.displaced).values()) < 1e-12
+    draw = np.random.default_rng(1)
+    for model, reader in zip(models, readers, strict=True):
+        q, own = configuration(draw, len(tree.links)), reader.parameters(model.context)
+        hand = model.plant.GetFrameByName("end_effector")
+        place = tree.place_in(reader.place_of(hand), own)
+        rotation, origin = frames.pose(tree.placed(own), place, q)
+        expected = model.calc_frame_pose(q, hand)
+        found = [*frames.quaternion_of(rotation), *origin]
+        assert found == pytest.approx(expected, abs=1e-13)
+        v, given = draw.normal(size=tree.num_velocities), (tree.placed(own), place, q)
+        twist = model.calc_frame_twist(q, v, hand)
+        assert frames.twist(*given, v) == pytest.approx(twist, abs=1e-12)
+
+
+DRAWN = (
+    "effects.geometry={stretch_deviation: 1e-3, offset_deviation: 2e-3, hand_stretch: 1e-3, "
+    "mount_position_deviation: 1e-3, mount_rotation_deviation: 1e-3, thermal: {time: 1390}}"
+)
+COMPILED = {
+    "held": ("postcapture", ["duration=0.3", "controller=tdc"]),
+    "orbit": ("postcapture", ["duration=0.3", "environment={}"]),
+    "panels": ("flexible_panels", ["duration=0.3"]),
+    "seven joints": ("seven_joint", ["duration=0.3"]),
+    "capture": ("tumbling_capture", ["duration=5.5", *SHORT]),
+    "closing": ("tumbling_capture", ["duration=5.5", *SHORT, "capture.closing={}"]),
+}
+
+
+@needs("compiled")
+@needs_llvm
+@pytest.mark.long
+@pytest.mark.parametrize(("name", "given"), COMPILED.values(), ids=COMPILED.keys())
+def test_compiled_runs_are_those_of_drake(name, given):
+    """Of cases with errors of their own, which share their code."""
+    found = check(of_seeds(name, [*given, DRAWN], [[]] * 3))
+    errors = [record.metrics["geometry"]["hand_position_error"] for record in found]
+    assert np.ptp(errors) > 1e-4
+
+
+@pytest.mark.slow
+def test_a_gripper_meets_the_target_with_the_error_of_the_arm():
+    """The target is where the nominal hand would meet it: the miss is the error of the hand, but
+    for the tracking error.
+    """
+    given = ["duration=2.2", "controller=computed_torque", *SHORT]
+    exact, displaced = (
+        simulate(load_scenario("tumbling_capture", [*given, *own]), check_stability=False)
+        for own in ([], [DRAWN])
+    )
+    at_grasp = int(np.searchsorted(displaced.dataset["time"].values, displaced.grasp["time"]))
+    error = np.linalg.norm(displaced.dataset["hand_position_error"].values[at_grasp])
+    assert error > 1e-3
+    allowed = 2.0 * exact.grasp["miss"]["position"] + 1e-4
+    assert displaced.grasp["miss"]["position"] == pytest.approx(error, abs=allowed)
+
+
+def test_a_large_error_misses_the_target():
+    given = ["duration=2.2", *SHORT, "effects.geometry.joint_offset={joint_1: 0.2}"]
+    record = simulate(load_scenario("tumbling_capture", given), check_stability=False)
+    assert record.outcome.status == "missed"
+
+
 GIVEN = "effects.geometry={stretch_deviation: 1e-3, offset_deviation: 2e-3, hand_stretch: 1e-3}"
 
 
@@ -184,7 +267,6 @@ REFUSED = {
     ("postcapture", "{mount_position: [1, 2]}"): "effects.geometry.mount_position: must hold 3",
     ("postcapture", "{length: 1}"): "effects.geometry.length: unknown key",
     ("postcapture", "{thermal: {period: 0}}"): "effects.geometry.thermal.period: must be > 0 s",
-    ("tumbling_capture", "{}"): "effects.geometry: needs a target that is held from the start",
     ("two_arms", "{}"): "effects.geometry: needs a single hand; remove contacts",
 }
 
