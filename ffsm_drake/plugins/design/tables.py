@@ -155,9 +155,14 @@ def _hidden_lines(margins: Margins, data: Mapping[str, Any]) -> list[str]:
             moves, *(f"{mode[key]:.4g}" for key in ("frequency", "clamped_frequency")),
             f"{mode['damping_ratio']:.2g}", carries,
         ])  # fmt: skip
-    locked = (
-        f"with the flexible parts locked it is {low:.3f} to {high:.3f}; their springs are slow "
-        f"compared with a sample"
+    nyquist = 0.5 / margins.scenario.sample_time
+    fast = [mode["frequency"] for mode in data["hidden_modes"] if mode["frequency"] > nyquist]
+    locked = f"with the flexible parts locked it is {low:.3f} to {high:.3f}; their springs "
+    locked += (
+        f"have modes up to {max(fast):.3g} Hz, above half of the sample rate ({nyquist:.3g} Hz); "
+        "the locked eta applies to modes that decay within a sample"
+        if fast
+        else "are slow compared with a sample"
     )
     return [
         locked,

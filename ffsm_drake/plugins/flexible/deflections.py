@@ -10,7 +10,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ffsm_drake.common.numbers import usable
+from ffsm_drake.plugins.flexible.steps import check_steps
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.parts.metrics import Figure, Metric, by_key
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.parts.signals import STORED_ENERGY, Constant, Signal, View
@@ -35,6 +37,10 @@ class Deflections(Part):
         """The deflections of a scenario."""
         kinds = tuple(part.kind for part in scenario.model.flexible.values())
         return cls(kinds=kinds) if kinds else None
+
+    def check_plant(self, scenario: Scenario, model: PlantModel) -> None:
+        """Raise ScenarioError if the integrator's steps are unstable for a flexible mode."""
+        check_steps(scenario, model)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Positions, rates, forces; the energy of springs, and what dampers took."""
