@@ -53,34 +53,41 @@ CORE_PARTS = {
     "sensing": "ffsm_drake.systems.sensing.part:Sensors",
     "forces.disturbance": "ffsm_drake.systems.disturbance:HarmonicDisturbance",
 }
+
+
+def _effect(name: str) -> Any:
+    return lambda scenario: getattr(scenario.effects, name, None)
+
+
+def _has_actuators(scenario: Scenario) -> bool:
+    """Ideal ones too, where they can be made."""
+    return not scenario.actuation.is_ideal or PARTS.find("actuation") is not None
+
+
 # Sections of the scenario that a part describes, in the order of the parts, with whether a scenario
 # uses one: a block of the same name, or a part within a block or beside it. See also ``PARTS``.
 SECTIONS: dict[str, Callable[[Scenario], Any]] = {
     "reference": lambda _: True,
     "sensing": lambda _: True,
-    "actuation": lambda scenario: _has_actuators(scenario),
-    "actuation.link": lambda scenario: getattr(scenario.effects, "link", None),
+    "actuation": _has_actuators,
+    "sensing.link": _effect("sensor_link"),
+    "actuation.link": _effect("link"),
     "actuation.thrusters": lambda scenario: scenario.actuation.thrusters,
     "actuation.wheels": lambda scenario: scenario.actuation.wheels,
     "actuation.drives": lambda scenario: scenario.actuation.drives,
     "flexible": lambda scenario: scenario.model.flexible,
-    "geometry": lambda scenario: getattr(scenario.effects, "geometry", None),
+    "geometry": _effect("geometry"),
     "supervisor": lambda scenario: scenario.supervisor,
     "sensing.faults": lambda scenario: scenario.faults,
     "sensing.detection": lambda scenario: scenario.faults,
     "forces.disturbance": lambda _: True,
     "forces.contacts": lambda scenario: len(scenario.contacts) > 1,
     "forces.environment": lambda scenario: scenario.environment,
-    "forces.backlash": lambda scenario: getattr(scenario.effects, "backlash", None),
+    "forces.backlash": _effect("backlash"),
     "forces.gripper": lambda scenario: scenario.closing,
     "forces.jam": lambda scenario: scenario.faults,
     "forces.plume": lambda scenario: getattr(scenario.actuation.thrusters, "plume", None),
 }
-
-
-def _has_actuators(scenario: Scenario) -> bool:
-    """Ideal ones too, where they can be made."""
-    return not scenario.actuation.is_ideal or PARTS.find("actuation") is not None
 
 
 # A policy found so far -> the folder that its file's name is relative to, and the file.

@@ -1,28 +1,22 @@
-"""A lossy link between the controller and the actuators.
-
-The actuators read their receiver at control samples. A packet that is sent at the sample k with a
-delay d acts from the sample k + ceil(d / L) on, with the control period L. The draws depend on the
-seed and the number of the sample only, so runs on Drake and compiled runs have the same ones.
-"""
+"""A lossy link from the controller to the actuators."""
 
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from ffsm_drake.loop.blocks import TOLD
 from ffsm_drake.plugins.actuators.link_settings import Link
-from ffsm_drake.plugins.actuators.packets import Channel, packets_of
+from ffsm_drake.plugins.actuators.packets import STREAM
+from ffsm_drake.plugins.actuators.receiver import Receiver, channel_of
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.scenario.faults import samples_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.faults import FOREVER
 from ffsm_drake.systems.parts.metrics import Figure, Metric, by_key
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.parts.signals import STEPS, Signal
-from ffsm_drake.systems.sampled import Arrays, Now, Sampled
+from ffsm_drake.systems.sampled import Arrays, Now
 from ffsm_drake.systems.setup import BlockSetup
 
 _KEY = "effects.link"
@@ -36,23 +30,18 @@ def link_of(scenario: Scenario) -> Link | None:
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class LossyLink(Sampled):
+class LossyLink(Receiver):
     """Holds the force of the packet that is in use.
 
     Input: ``command`` (nv), N m and N. Outputs, which change at control samples only: ``received``
     (nv), N m and N; ``command_age`` (1), the time since the force that acts was sent, s, 0 before
     the first packet; ``command_lost`` (1), whether the packet of the sample is lost; ``told_force``
-    (nv), the command, if the applied force is not reported. Memory: commands that may still arrive,
-    the newest first, and the force in use. Phase: the weight of each command among those, the
-    weight of the force in use, and the two outputs of size 1.
+    (nv), the command, if the applied force is not reported.
     """
 
-    channel: Channel
     sent: np.ndarray  # (nv) 1: the force is sent, 0: it acts as commanded
     reported: bool
-    sample_time: float
     acts = True
-    in_phase: ClassVar = ("channel",)
 
     @property
     def inputs(self) -> Mapping[str, int]:
@@ -67,36 +56,16 @@ class LossyLink(Sampled):
 
     def start(self, state: np.ndarray | None = None) -> Arrays:
         """See Sampled: no packet has been sent."""
-        made = {"in_use": np.zeros(self.sent.size)}
-        if self.channel.slots:
-            made["waiting"] = np.zeros(self.channel.slots * self.sent.size)
-        return made
-
-    def phase(self, sample: Any) -> Sequence[Any]:
-        """See Sampled."""
-        samples = np.atleast_1d(sample)
-        packets = packets_of(self.channel, int(samples.max(initial=0)) + 1)
-        slots = np.arange(self.channel.slots + 1)
-        weights = (packets.slot[samples] == slots[:, None]) * 1.0
-        rest = packets.keeps, packets.age * self.sample_time, packets.lost
-        columns = [*weights, *(each[samples] * 1.0 for each in rest)]
-        return columns if np.ndim(sample) else [float(column[0]) for column in columns]
+        return self.waiting(np.zeros(self.sent.size))
 
     def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
         """See Sampled."""
-        command, count = inputs["command"], self.sent.size
-        weights, (keeps, age, lost) = now.phase[:-3], now.phase[-3:]
-        line = np.concatenate([command, memory["waiting"]]) if "waiting" in memory else command
-        received = memory["in_use"] * keeps
-        for at, weight in enumerate(weights):
-            received = received + line[at * count : (at + 1) * count] * weight
+        command, weights, (keeps, age, lost) = inputs["command"], now.phase[:-3], now.phase[-3:]
+        received, after = self.received(command, memory, weights, keeps)
         force = np.where(self.sent > 0.0, received, command)
         outputs = {"received": force, AGE: np.stack([age]), LOST: np.stack([lost])}
         if not self.reported:
             outputs[TOLD] = command
-        after = {"in_use": received}
-        if "waiting" in memory:
-            after["waiting"] = line[:-count]
         return outputs, after
 
 
@@ -110,25 +79,10 @@ def lossy_link(
 
     Raises ScenarioError: an unknown coordinate.
     """
-    duration, period = (
-        FOREVER if given is None else samples_of(given, sample_time)
-        for given in (settings.duration, settings.period)
-    )
     hold = 0.0 if settings.without == "zero" else np.inf
     if settings.hold_time is not None:
         hold = settings.hold_time / sample_time
-    channel = Channel(
-        seed=seed if settings.seed is None else settings.seed,
-        drop_rate=settings.drop_rate,
-        mean_burst=settings.mean_burst,
-        least_delay=settings.delay[0] / sample_time,
-        most_delay=settings.delay[-1] / sample_time,
-        order=settings.order,
-        hold=hold,
-        first=samples_of(settings.time, sample_time),
-        lasts=duration,
-        period=period,
-    )
+    channel = channel_of(settings, sample_time=sample_time, seed=seed, stream=STREAM, hold=hold)
     key = f"{_KEY}.coordinates"
     sent = coordinates.vector(dict.fromkeys(settings.coordinates, 1.0), key=key, default=0.0)
     return LossyLink(

@@ -15,7 +15,7 @@ import numpy as np
 _NEVER = -1
 _FIRST = 4096  # samples that are drawn at first
 _ROUNDING = 1e-9  # of a control sample
-_STREAM = 0x11A2  # draws of the link among those with a seed
+STREAM = 0x11A2  # draws of the link to the actuators among those with a seed
 
 
 class Channel(NamedTuple):
@@ -31,6 +31,7 @@ class Channel(NamedTuple):
     first: int  # samples with losses and delays: the first one,
     lasts: int  # their number,
     period: int  # and from one beginning to the next
+    stream: int = STREAM
 
     @property
     def slots(self) -> int:
@@ -65,7 +66,7 @@ def packets_of(channel: Channel, samples: int) -> Packets:
 @functools.lru_cache(maxsize=16)
 def _packets(channel: Channel, count: int) -> Packets:
     sent = np.arange(count)
-    share = np.random.default_rng([channel.seed, _STREAM]).random((count, 2))
+    share = np.random.default_rng([channel.seed, channel.stream]).random((count, 2))
     bad = (sent >= channel.first) & ((sent - channel.first) % channel.period < channel.lasts)
     lost = _lost(channel, share[:, 0]) & bad
     drawn = channel.least_delay + share[:, 1] * (channel.most_delay - channel.least_delay)

@@ -7,12 +7,16 @@ PLUGIN = Plugin(
         "sections": {
             "actuation": "actuators.row:ActuatorRow",
             "actuation.link": "actuators.link:CommandLink",
+            "sensing.link": "actuators.sensor_link:MeasurementLink",
             "actuation.drives": "actuators.drives:JointDrives",
             "actuation.thrusters": "actuators.thrusters:FiredThrusters",
             "actuation.wheels": "actuators.wheels:ReactionWheels",
             "forces.plume": "actuators.plumes:Plumes",
         },
-        "effects": {"link": "actuators.link_settings:Link"},
+        "effects": {
+            "link": "actuators.link_settings:Link",
+            "sensor_link": "actuators.link_settings:SensorLink",
+        },
         "acting_blocks": {"actuators": "actuators.row:acting_blocks"},
     },
 )

@@ -44,7 +44,11 @@ def without_limits(mission: Mission) -> Scenario:
 
 def _smooth_effects(effects: Any) -> Any:
     """Effects of a scenario without a lossy link and backlash."""
-    given = [name for name in ("link", "backlash") if getattr(effects, name, None) is not None]
+    given = [
+        name
+        for name in ("link", "sensor_link", "backlash")
+        if getattr(effects, name, None) is not None
+    ]
     return dataclasses.replace(effects, **dict.fromkeys(given))
 
 

@@ -1,0 +1,91 @@
+"""The receiving end of a lossy link, which is read at control samples.
+
+A packet that is sent at the sample k with a delay d acts from the sample k + ceil(d / L) on, with
+the control period L. The draws depend on the seed and the number of the sample only, so runs on
+Drake and compiled runs have the same ones.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ffsm_drake.plugins.actuators.link_settings import PacketLosses
+from ffsm_drake.plugins.actuators.packets import Channel, packets_of
+from ffsm_drake.scenario.faults import samples_of
+from ffsm_drake.systems.faults import FOREVER
+from ffsm_drake.systems.sampled import Arrays, Sampled
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Receiver(Sampled):
+    """A block with the packets that may still arrive, the newest first, and the one in use.
+
+    Phase: the weight of each packet among those, the weight of the one in use, the time since the
+    packet in use was sent, s, and whether the packet of the sample is lost.
+    """
+
+    channel: Channel
+    sample_time: float
+    in_phase: ClassVar = ("channel",)
+
+    def phase(self, sample: Any) -> Sequence[Any]:
+        """See Sampled."""
+        samples = np.atleast_1d(sample)
+        packets = packets_of(self.channel, int(samples.max(initial=0)) + 1)
+        slots = np.arange(self.channel.slots + 1)
+        weights = (packets.slot[samples] == slots[:, None]) * 1.0
+        rest = packets.keeps, packets.age * self.sample_time, packets.lost
+        columns = [*weights, *(each[samples] * 1.0 for each in rest)]
+        return columns if np.ndim(sample) else [float(column[0]) for column in columns]
+
+    def waiting(self, first: np.ndarray) -> Arrays:
+        """Return the memory at the start, with the packet (n) that is in use then."""
+        made = {"in_use": first}
+        if self.channel.slots:
+            made["waiting"] = np.zeros(self.channel.slots * first.size)
+        return made
+
+    def received(self, packet: Any, memory: Arrays, weights: Any, keeps: Any) -> tuple[Any, Arrays]:
+        """Return what is in use at a sample (n), and the memory after it.
+
+        Args: the packet of the sample (n); the memory; the weights of the packets that may arrive;
+        the weight of the one in use.
+        """
+        count = packet.size
+        line = np.concatenate([packet, memory["waiting"]]) if "waiting" in memory else packet
+        found = memory["in_use"] * keeps
+        for at, weight in enumerate(weights):
+            found = found + line[at * count : (at + 1) * count] * weight
+        after = {"in_use": found}
+        if "waiting" in memory:
+            after["waiting"] = line[:-count]
+        return found, after
+
+
+def channel_of(
+    settings: PacketLosses, *, sample_time: float, seed: int, stream: int, hold: float = np.inf
+) -> Channel:
+    """Return the channel of a link.
+
+    Args: its settings; the control period, s; the seed of the scenario; the number of its draws
+    among those with a seed; samples without a packet for which the last one acts.
+    """
+    duration, period = (
+        FOREVER if given is None else samples_of(given, sample_time)
+        for given in (settings.duration, settings.period)
+    )
+    return Channel(
+        seed=seed if settings.seed is None else settings.seed,
+        drop_rate=settings.drop_rate,
+        mean_burst=settings.mean_burst,
+        least_delay=settings.delay[0] / sample_time,
+        most_delay=settings.delay[-1] / sample_time,
+        order=settings.order,
+        hold=hold,
+        first=samples_of(settings.time, sample_time),
+        lasts=duration,
+        period=period,
+        stream=stream,
+    )
