@@ -1,4 +1,4 @@
-"""Settings of the link between the controller and the actuators: ``effects.link``."""
+"""Settings of the links of the controller: ``effects.link`` and ``effects.sensor_link``."""
 
 from dataclasses import dataclass
 from typing import Any
