@@ -92,7 +92,7 @@ def test_the_largest_deflection_is_drawn_below_ten_degrees(record):
 
 
 def test_a_gear_in_the_arm_is_drawn_as_it_is(meshcat, run):
-    gear = "model.flexible.elbow={kind: gear, joint: joint_3, frequency: 5}"
+    gear = "model.flexible.elbow={kind: gear, joint: joint_3, frequency: 1}"
     record = run(
         "postcapture",
         "controller=tdc",
