@@ -3,8 +3,8 @@
     python benchmarks/assumed_inputs/rank.py out/campaigns/gripper.db
 
 The share is the part of the variance that the means of equally filled bins of one figure explain.
-ITAE and ISV count by their ranks, a run without the number as the largest. The level of chance is
-the 95 % quantile of the largest share of any figure if the output is shuffled among the cases, so
+ITAE and ISV count by their ranks, among the runs that did not end early. The level of chance is the
+95 % quantile of the largest share of any figure if the output is shuffled among the cases, so
 that all figures of a campaign together have a false alarm in one of twenty campaigns.
 """
 
@@ -18,6 +18,7 @@ from ffsm_drake.plugins.campaign.statistics import Table, read_table
 from ffsm_drake.plugins.campaign.store import open_store
 
 SHUFFLES = 1000
+COMPLETE = ("settled", "not_settled", "growing")
 
 
 def in_bins(values: pd.DataFrame) -> list[np.ndarray]:
@@ -42,13 +43,11 @@ def shares(bins: list[np.ndarray], outputs: np.ndarray) -> np.ndarray:
     return (explained - lost) / (1 - lost)
 
 
-def outputs_of(runs: pd.DataFrame) -> dict[str, np.ndarray]:
-    """Return failure and the ranks of ITAE and ISV."""
-    found = {"failure": (~runs["is_settled"]).to_numpy(float)}
-    for name in ("itae", "isv"):
-        numbers = pd.to_numeric(runs[name]).replace(np.inf, np.nan)
-        found[name] = numbers.rank(na_option="bottom").to_numpy()
-    return found
+def outputs_of(runs: pd.DataFrame) -> dict[str, pd.Series]:
+    """Return failure of all runs, and the ranks of ITAE and ISV of the complete ones."""
+    complete = runs[runs["outcome"].isin(COMPLETE)]
+    ranks = {name: pd.to_numeric(complete[name]).rank() for name in ("itae", "isv")}
+    return {"failure": (~runs["is_settled"]).astype(float)} | ranks
 
 
 def show(table: Table) -> None:
@@ -57,19 +56,22 @@ def show(table: Table) -> None:
     for controller, runs in table.runs.items():
         values = table.values.loc[runs.index]
         values = values.loc[:, values.nunique() > 1]
-        bins = in_bins(values)
         failed = int((~runs["is_settled"]).sum())
         print(f"{controller}: {failed} failures in {len(runs)} runs, {values.shape[1]} figures")
         print("  ", dict(runs["outcome"].value_counts()))
         for output, numbers in outputs_of(runs).items():
-            if numbers.min() == numbers.max():
+            if numbers.nunique() < 2:
                 print(f"  {output}: the same in all runs")
                 continue
-            shuffled = np.array([generator.permutation(numbers) for _ in range(SHUFFLES)]).T
+            drawn = values.loc[numbers.index]
+            bins = in_bins(drawn)
+            shuffled = np.array(
+                [generator.permutation(numbers.to_numpy()) for _ in range(SHUFFLES)]
+            ).T
             chance = float(np.quantile(shares(bins, shuffled).max(axis=0), 0.95))
-            own = pd.Series(shares(bins, numbers[:, None])[:, 0], values.columns)
-            signs = values.corrwith(pd.Series(numbers, values.index), method="spearman")
-            print(f"  {output}: level of chance {100 * chance:.0f} %")
+            own = pd.Series(shares(bins, numbers.to_numpy()[:, None])[:, 0], drawn.columns)
+            signs = drawn.corrwith(numbers, method="spearman")
+            print(f"  {output}: {len(numbers)} runs, level of chance {100 * chance:.0f} %")
             own = own.sort_values(ascending=False)
             for name, share in own[own > chance].items():
                 print(f"    {name}: {100 * share:.0f} %, rank correlation {signs[name]:+.2f}")
