@@ -13,6 +13,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 from pydrake.multibody.parsing import Parser
@@ -123,12 +124,41 @@ def test_a_figure_without_a_source_is_assumed():
         assert row.kind == "assumed" or row.source != "none", row
 
 
+ASSUMED = ROOT / "benchmarks" / "assumed_inputs"
 PARTS = ("parameters", "derive")
 
 
+def test_campaigns_over_arms_scale_what_they_name(tmp_path):
+    arms = loaded(ASSUMED / "arms.py")
+    for scenario, servicer, _, links, masses, _ in arms.MISSIONS.values():
+        assert scenario in shipped_scenarios()
+        urdf = ROOT / "models" / "urdf" / f"{servicer}.urdf"
+        path = tmp_path / "scaled.urdf"
+        path.write_text(arms.scaled(urdf, links, 3.0, masses=masses))
+        before, after = tables.links_of(urdf), tables.links_of(path)
+        chosen = tables.matching(links, before)
+        assert before.keys() == after.keys()
+        assert 0 < len(chosen) < len(before)
+        for name, link in before.items():
+            factor = 3.0 if name in chosen else 1.0
+            np.testing.assert_allclose(after[name].inertia, np.multiply(factor, link.inertia))
+            assert after[name].mass == (factor if masses else 1.0) * link.mass
+
+
+def test_the_ranking_finds_what_explains_an_output():
+    rank = loaded(ASSUMED / "rank.py")
+    generator = np.random.default_rng(3)
+    values = pd.DataFrame({name: generator.uniform(-1, 1, 96) for name in ("edge", "bowl", "none")})
+    output = (values["edge"] > 0.3) + 3 * values["bowl"] ** 2
+    bins = rank.in_bins(values)
+    edge, bowl, none = rank.shares(bins, output.to_numpy()[:, None])[:, 0]
+    shuffled = np.array([generator.permutation(output) for _ in range(200)]).T
+    chance = np.quantile(rank.shares(bins, shuffled).max(axis=0), 0.95)
+    assert bowl > edge > chance > none
+
+
 def test_a_figure_of_the_campaigns_is_varied_in_one():
-    files = (ROOT / "benchmarks" / "assumed_inputs").glob("*.yaml")
-    specs = [yaml.safe_load(path.read_text()) for path in files]
+    specs = [yaml.safe_load(path.read_text()) for path in ASSUMED.glob("*.yaml")]
     names = {name for spec in specs for part in PARTS for name in spec.get(part, ())}
     names |= {re.sub(r"\.\d$", "", name) for name in names}  # the list of an entry
     names |= {name.removeprefix("actuation.thrusters.") for name in names}  # as in a layout

@@ -161,8 +161,9 @@ def setting_rows() -> Iterator[Row]:
 
 @functools.cache
 def resolved(scenario: str) -> dict[str, Any]:
-    """The values of a whole scenario, with defaults, by dotted key."""
-    return leaves(scenario_to_dict(load_scenario(scenario)))
+    """The values of a scenario with defaults, by dotted key; overrides may follow the name."""
+    name, *overrides = scenario.split()
+    return leaves(scenario_to_dict(load_scenario(name, overrides)))
 
 
 def _row(place: str, pattern: str, values: list[Any], unit: str, kind: str, *end: str) -> Row:
