@@ -7,8 +7,10 @@ import ast
 import functools
 import importlib.util
 import itertools
+import json
 import re
 import shlex
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -16,6 +18,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from children import finished
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
@@ -241,7 +244,6 @@ def test_claims_are_the_rows_of_their_tables():
     text = head + "| a | `x \\| y` | 1 |\n| b \\| c | `pytest` | 2 |\n\n| a | no claim |\n"
     assert tables.claims(text) == [("a", "`x \\| y`", "1"), ("b \\| c", "`pytest`", "2")]
     assert tables.claims("| claim: how many | date |\n|---|---|\n| a | 2 |") == [("a", "", "2")]
-    assert int(tables.number_of_claims()) > 200
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -268,12 +270,68 @@ def test_rows_have_the_cells_of_their_table(page):
             width = len(cells)
 
 
-def commands_of(page):
-    """The commands between backquotes on a page, as words without variables."""
-    for line in page.read_text().splitlines():
-        for text in re.findall(r"`((?:[A-Z_]+=\S+ )*(?:pytest|python|ffsm) [^`]+)`", line):
-            words = shlex.split(text)
+def test_a_full_command_can_be_pasted():
+    rows = {
+        "`ffsm run paper`": True,
+        "the same": True,
+        "`A=1 pytest tests -k x`; `time ffsm run paper`": True,
+        "`ffsm run paper -c LAW`": False,
+        "same": False,
+        "the command below": True,
+        "`ffsm run paper` with the panels": False,
+        "arithmetic": False,
+    }
+    text = "| claim | command |\n|---|---|\n" + "\n".join(f"| a | {each} |" for each in rows)
+    assert tables.full_commands(text) == [*rows.values()]
+
+
+def test_credibility_counts_claims_and_full_commands():
+    texts = [page.read_text() for page in PAGES]
+    full = [each for text in texts for each in tables.full_commands(text)]
+    said = "of more than 300 claims, more than nine of ten have a full command"
+    assert said in (DOCS / "credibility.md").read_text()
+    assert len(full) > 300
+    assert sum(full) > 0.9 * len(full)
+
+
+def commands_in(text):
+    """The commands between backquotes, as words without variables."""
+    for line in text.splitlines():
+        for found in re.findall(r"`((?:[A-Z_]+=\S+ )*(?:pytest|python|ffsm) [^`]+)`", line):
+            words = shlex.split(found)
             yield list(itertools.dropwhile(lambda word: re.match(r"[A-Z_]+=", word), words))
+
+
+def test_commands_of_claims_leave_out_no_mark():
+    """A test that gets another mark, because it takes longer, stays in the command of its row."""
+    for page in PAGES:
+        for claim in tables.claims(page.read_text()):
+            for program, *words in commands_in(claim.command):
+                if program == "pytest":
+                    marks = words[words.index("-m") + 1] if "-m" in words else None
+                    assert marks in ("exhaustive", "not exhaustive"), f"{page.stem}: {claim}"
+
+
+@pytest.mark.long
+def test_commands_of_claims_select_tests(tmp_path):
+    texts = {page.stem: page.read_text() for page in PAGES}
+    texts["validation"] = (DOCS / "validation.md").read_text()
+    commands = [
+        (page, words)
+        for page, text in texts.items()
+        for program, *words in commands_in(text)
+        if program == "pytest" and "tests/PATH::NAME" not in words
+    ]
+    assert len(commands) > 150
+    file = tmp_path / "commands.json"
+    file.write_text(json.dumps([*(words for _, words in commands), ["-k", "no_such_test"]]))
+    done = finished(
+        [sys.executable, "tests/selected_tests.py", str(file)], cwd=ROOT, longest=280.0, check=True
+    )
+    *numbers, none = json.loads(done.stdout)
+    assert none == 0
+    empty = [command for command, number in zip(commands, numbers, strict=True) if not number]
+    assert not empty
 
 
 @functools.cache
@@ -289,7 +347,7 @@ def names_in(path):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_commands_of_claims_name_what_exists(page):
     """Test files and the words that choose among their tests, scripts, and commands of ffsm."""
-    for program, *words in commands_of(page):
+    for program, *words in commands_in(page.read_text()):
         text = " ".join([program, *words])
         if program == "ffsm":
             assert words[0] in main.list_commands(None), text

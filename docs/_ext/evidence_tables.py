@@ -272,10 +272,20 @@ def claims(text: str) -> list[Claim]:
     return found
 
 
-def number_of_claims() -> str:
-    """How many rows the tables of claims have."""
-    pages = sorted((DOCS / "validation").glob("*.md"))
-    return str(sum(len(claims(page.read_text(encoding="utf-8"))) for page in pages))
+# A command that can be pasted, and a word in it that the reader must replace.
+COMMAND = r"`(?:time )?(?:[A-Z_]+=\S+ )*(?:pytest|python|ffsm) [^`]+`"
+COMMANDS = re.compile(rf"{COMMAND}(; {COMMAND})*|the commands? below")
+PLACEHOLDER = re.compile(r"\b(FILE|LAW|N|NAME|PANELS|RUN_DIR)\b")
+SAME = re.compile(r"(the )?same")
+
+
+def full_commands(text: str) -> list[bool]:
+    """Whether each claim on a page has a full command, itself or by "the same"."""
+    found = [False]
+    for claim in claims(text):
+        full = COMMANDS.fullmatch(claim.command) and not PLACEHOLDER.search(claim.command)
+        found.append(found[-1] if SAME.fullmatch(claim.command) else bool(full))
+    return found[1:]
 
 
 TABLES: dict[str, Callable[[], str]] = {
@@ -283,7 +293,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "<!-- mass properties -->": mass_table,
     "<!-- parameters of scenarios -->": setting_table,
     "<!-- requirements -->": requirement_table,
-    "<!-- number of claims -->": number_of_claims,
 }
 
 
