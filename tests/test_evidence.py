@@ -326,7 +326,7 @@ def test_commands_of_claims_select_tests(tmp_path):
     file = tmp_path / "commands.json"
     file.write_text(json.dumps([*(words for _, words in commands), ["-k", "no_such_test"]]))
     done = finished(
-        [sys.executable, "tests/selected_tests.py", str(file)], cwd=ROOT, longest=280.0, check=True
+        [sys.executable, "tests/selected_tests.py", str(file)], cwd=ROOT, longest=580.0, check=True
     )
     *numbers, none = json.loads(done.stdout)
     assert none == 0
