@@ -74,24 +74,23 @@ def left_over(kept: dict[str, Any], first: float, last: float) -> float:
 
 def fed_blocks(kept: dict[str, Any], first: float, last: float) -> dict[str, np.ndarray]:
     """What detection keeps of the blocks (m, ...) that end between two times, s."""
-    rows, frames, panels = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
+    rows, states, panels = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
     detector = None
     for detector, memory, now in stepped(kept):
         if first < now < last and memory["samples"][0] % EVERY == 0.0:
             rows.append(memory["kept"].reshape(SPAN, -1)[-1])
-            frames.append(memory["frames"].reshape(SPAN, -1)[-1])
+            states.append(memory["states"].reshape(SPAN, -1)[-1])
             panels.append(_of_panels(detector, memory))
     assert detector is not None
-    at, nv, count = detector._at, detector._nv, len(detector._force)
-    ends = np.cumsum([nv * nv, nv * nv, nv, nv * count])
-    _, inverse, bound, _, payload = np.split(np.array(frames), ends, axis=1)
+    at = detector._at
+    _, inverse, bound, _, payload = detector._models(np.array(states))
     bound[:, :6] += panels
     return {
         "left": np.array(rows)[:, at["left"]],
         "velocity": np.array(rows)[:, at["velocity"]],
-        "inverse": inverse.reshape(-1, nv, nv),
+        "inverse": inverse,
         "bound": bound + 1e-6,
-        "payload": payload[:, : payload.shape[1] * detector._is_loaded],
+        "payload": payload,
         "box": np.array(detector._box),
         "noise": np.maximum(detector._velocity_noise, 1e-9),
     }

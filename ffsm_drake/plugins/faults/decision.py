@@ -14,7 +14,7 @@ _EXCLUDED = 1.5 * MARGIN  # squares, summed up over time, that exclude a unit
 _MOST = 1e3  # squares in one look
 _APART = 20  # blocks after which a sum begins anew
 _LOOKS, _TOGETHER = 3, 3  # looks that agree, at most so many blocks apart
-_DOUBTS, _UNITS = 40, 3  # looks with the same units, and how many these are at most
+_DOUBTS, _UNITS = 40, 3  # looks that all name some units, and how many these are at most
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ def decided(
 
     Args:
       votes: row of ``memory.against`` -> blocks of its window, and its vote.
-      memory: ``against`` (rows, units), ``voted`` (rows), ``agreed`` (3), ``doubted`` (units + 1).
+      memory: ``against`` (rows, units), ``voted`` (rows), ``agreed`` (3), ``doubted`` (units + 2).
       is_possible: (units); not a joint that moves.
       now: blocks since the start.
     """
@@ -54,32 +54,33 @@ def decided(
     named = np.flatnonzero(all_name)
     if not is_possible[named].all() or not named.size:
         return None
-    if named.size == 1:
-        return _agreed(votes, memory, int(named[0]), now)
-    if named.size <= _UNITS:
-        return _doubted(memory, all_name, named)
-    return None
-
-
-def _agreed(
-    votes: Mapping[int, tuple[int, Vote]], memory: Memory, unit: int, now: float
-) -> Found | None:
-    """A single unit."""
-    is_again = memory.agreed[1] == unit and now - memory.agreed[2] <= _TOGETHER
-    looks = memory.agreed[0] + 1.0 if is_again else 1.0
-    memory.agreed[:] = looks, unit, now
-    if looks < _LOOKS:
+    units = named if _agree(memory, named, now) else _common(memory, all_name, now)
+    if not 0 < units.size <= _UNITS:
         return None
+    return Found(units=units, kind=_kind(votes, int(units[0])))
+
+
+def _kind(votes: Mapping[int, tuple[int, Vote]], unit: int) -> str:
+    """Of a thruster's fault."""
     # windows that began before the fault see a part of it
     clearest = max((each for _, each in votes.values()), key=lambda each: float(each.share[unit]))
     whole, some = (STUCK_ON, LEAKING) if clearest.gives_more[unit] else (STUCK_OFF, WEAK)
-    kind = whole if clearest.share[unit] > WHOLE else some
-    return Found(units=np.array([unit]), kind=kind.name)
+    return (whole if clearest.share[unit] > WHOLE else some).name
 
 
-def _doubted(memory: Memory, all_name: np.ndarray, named: np.ndarray) -> Found | None:
-    """Several units that the data cannot tell apart."""
-    is_again = bool((memory.doubted[1:] == all_name).all())
-    memory.doubted[0] = memory.doubted[0] + 1.0 if is_again else 1.0
-    memory.doubted[1:] = all_name
-    return Found(units=named) if memory.doubted[0] >= _DOUBTS else None
+def _agree(memory: Memory, named: np.ndarray, now: float) -> bool:
+    """Whether looks name the same single unit."""
+    if named.size > 1:
+        return False
+    is_again = memory.agreed[1] == named[0] and now - memory.agreed[2] <= _TOGETHER
+    memory.agreed[:] = memory.agreed[0] + 1.0 if is_again else 1.0, named[0], now
+    return bool(memory.agreed[0] >= _LOOKS)
+
+
+def _common(memory: Memory, all_name: np.ndarray, now: float) -> np.ndarray:
+    """The units that many looks have named, if there are enough looks; else none."""
+    both = all_name & (memory.doubted[2:] > 0.0)
+    is_again = now - memory.doubted[1] <= _APART and both.any()
+    looks = memory.doubted[0] + 1.0 if is_again else 1.0
+    memory.doubted[:2], memory.doubted[2:] = (looks, now), both if is_again else all_name
+    return np.flatnonzero(memory.doubted[2:] * (looks >= _DOUBTS))

@@ -40,7 +40,7 @@ CODE = {kind: float(code) for code, kind in enumerate(KINDS)}
 EVERY, KEPT, OLD = 5, 61, 20
 WINDOWS = (8, 24, 60)  # blocks of sensors and wheels
 SPAN = 65  # blocks that are kept
-REPLACED = ("kept", "frames", "fired")  # in the memory; never changed in place
+REPLACED = ("kept", "states", "fired")  # in the memory; never changed in place
 LEARNT = 50  # samples, or blocks, after which a variance is known
 _BANDWIDTH = {"base_rotation": 8.0, "base_position": 2.0, "joints": 10.0}  # rad/s
 
@@ -67,7 +67,7 @@ class Memory(SimpleNamespace):
     velocity ``was_off``. Of forces, ``kept`` blocks of ``sums``, the last ``part`` of one, and how
     many ``blocks`` form a window of sensors, or a ``span`` of forces, in blocks of the ``clock``;
     ``fired`` blocks of ``firing`` sums, weighted by forces, which were ``fires`` a sample before;
-    ``frames``: models at ends of blocks; ``rough``: mean square of unexplained changes; ``reach``:
+    ``states`` at ends of blocks; ``rough``: mean square of unexplained changes; ``reach``:
     largest changes by thrusters; ``grown``
     forces of flexible parts, for ``grows`` blocks; ``errors`` of the payload that explained blocks.
     Of decisions: squares ``against`` each unit, when windows ``voted`` last, the unit that
@@ -91,9 +91,9 @@ class Known:
         held = setup.grip.carried(scenario.payload).nominal
         self._leg = float(held.mass)
         factor = self._settings.payload_factor if setup.grip.holds else 1.0
-        self._box, self._is_loaded = payload_error.intervals(held, factor), held.mass > 0.0
+        self._box = payload_error.intervals(held, factor)
         self._payload: tuple[Frame, np.ndarray] | None = None
-        if self._is_loaded:
+        if held.mass > 0.0:
             frame = find_frame(self._model.plant, scenario.payload.body, key="payload.body")
             self._payload = frame, np.array(held.center_of_mass, dtype=float)
         self._damping = damping_of(self._model.plant)
@@ -106,6 +106,7 @@ class Known:
             )
         self._read_sensors(scenario, coordinates)
         self._bounds = Bounds(setup)
+        self._known_rows = dict[bytes, np.ndarray]()  # of ``MotionWatch._models``
         # of the observer of lost velocities: three equal poles for each coordinate, without
         # steady-state error under a constant unreported force
         w = coordinates.vector(_BANDWIDTH, key="bandwidth", default=0.0)
@@ -166,7 +167,6 @@ class Known:
         }
         of_sensors = ("leg", "samples", "blocks", "looks", "abort_request", "jumped")
         of_forces = ("span", "clock", "tries", "was_off")
-        frame = nv * (2 * nv + 1 + count) + 6 * nv + 6
         firing, units = count * (count + 2 * nv + 2), len(self._joints) + count
         rows = 2 * len(FORCE_WINDOWS)
         self._shapes: dict[str, tuple[int, ...]] = {
@@ -177,9 +177,9 @@ class Known:
             **dict.fromkeys(("sums", "part"), (ends[-1],)),
             "codes": (len(self.units),), "repeats": (len(self._sensors),),
             "told": (self._num_units,), "momentum": (self._num_wheels,), "kept": (SPAN, ends[-1]),
-            "frames": (SPAN, frame), "firing": (firing,), "fired": (SPAN, firing),
+            "states": (SPAN, size), "firing": (firing,), "fired": (SPAN, firing),
             "fires": (count,), "against": (rows, units), "voted": (rows,), "agreed": (3,),
-            "doubted": (1 + units,), "errors": (payload_error.NUM_ERRORS,),
+            "doubted": (2 + units,), "errors": (payload_error.NUM_ERRORS,),
             "grows": (len(SPANS) * self._is_flexible,),
             "grown": ((AGO + 1) * self._is_flexible, len(SPANS), SIZE),
         }  # fmt: skip

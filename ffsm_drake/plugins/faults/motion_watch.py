@@ -15,7 +15,7 @@ from ffsm_drake.plugins.faults.jam import JAMMED
 from ffsm_drake.plugins.faults.known import CODE, EVERY, SPAN, SUSPECTED, Memory
 from ffsm_drake.plugins.faults.known import WINDOWS as SENSOR_WINDOWS
 from ffsm_drake.plugins.faults.panels import SIZE as PANELS
-from ffsm_drake.plugins.faults.panels import PanelBound
+from ffsm_drake.plugins.faults.panels import SPANS, PanelBound
 from ffsm_drake.plugins.faults.payload_error import place
 from ffsm_drake.plugins.faults.sensor_watch import SLOPE, SensorWatch, Slips
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
@@ -47,20 +47,44 @@ class MotionWatch(SensorWatch):
         memory.firing = np.zeros_like(memory.firing)
         memory.span += 1.0
         memory.clock += 1.0
-        state = memory.seen
-        mass = np.array(self._model.calc_mass_matrix(state[: self._nq]))
-        inverse, pushes = np.linalg.inv(mass), self._pushes(state)
-        payload = np.zeros(6 * self._nv + 6)
-        if self._payload is not None:
-            payload = place(self._model, *self._payload, state)
-        bound = self._bounds.of_force(mass, state)
-        row = [each.ravel() for each in (mass, inverse, bound, pushes, payload)]
-        memory.frames = np.vstack([memory.frames[1:], np.concatenate(row)])
-        memory.reach = self._step * np.abs(inverse @ pushes) @ self._force
+        memory.states = np.vstack([memory.states[1:], memory.seen])
+        _, inverse, _, pushes, _ = self._models(memory.states[-1:])
+        memory.reach = self._step * np.abs(inverse[0] @ pushes[0]) @ self._force
+
+    def _models(self, states: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Mass matrix (n, nv, nv), its inverse, bound of forces (n, nv), pushes of thrusters
+        (n, nv, thrusters) and place of the payload (n, 6 nv + 6, or 0) in each state.
+        """
+        nv, count = self._nv, len(self._force)
+        rows = np.array([self._model_row(state) for state in states])
+        ends = np.cumsum([nv * nv, nv * nv, nv, nv * count])
+        mass, inverse, bound, pushes, payload = np.split(rows, ends, axis=1)
+        square = len(states), nv, nv
+        pushes = pushes.reshape(len(states), nv, count)
+        return mass.reshape(square), inverse.reshape(square), bound, pushes, payload
+
+    def _model_row(self, state: np.ndarray) -> np.ndarray:
+        """``_models`` of one state; those of the last states are kept, since windows share them."""
+        key = state.tobytes()
+        row = self._known_rows.get(key)
+        if row is None:
+            mass = np.array(self._model.calc_mass_matrix(state[: self._nq]))
+            payload = np.zeros(0)
+            if self._payload is not None:
+                payload = place(self._model, *self._payload, state)
+            bound = self._bounds.of_force(mass, state)
+            parts = (mass, np.linalg.inv(mass), bound, self._pushes(state), payload)
+            row = np.concatenate([each.ravel() for each in parts])
+            if len(self._known_rows) >= 2 * SPAN:
+                self._known_rows.pop(next(iter(self._known_rows)))
+            self._known_rows[key] = row
+        return row
 
     def _look_at_forces(self, memory: Memory, slips: Slips) -> None:
         """Report a fault that the last blocks show; without evidence, each second block looks."""
         span = int(min(memory.span, SPAN))
+        if span < 1:
+            return
         panels = self._panels(memory, span) if self._is_flexible else None
         if span < features.FIRST:
             return
@@ -79,11 +103,11 @@ class MotionWatch(SensorWatch):
 
     def _panels(self, memory: Memory, span: int) -> PanelBound:
         """The bound of the force of flexible parts, brought up to date."""
-        panels, nv = PanelBound(memory.grown, memory.grows), self._nv
+        panels = PanelBound(memory.grown, memory.grows)
         noise = np.maximum(self._velocity_noise, _NOISE) / np.sqrt(EVERY)
         left = memory.kept[-span:, self._at["left"]]
-        mass = memory.frames[-span:, : nv * nv].reshape(-1, nv, nv)
-        panels.update(left, mass, noise, EVERY * self._step)
+        middles = memory.states[[-1 - min(count, span) // 2 for count in SPANS]]
+        panels.update(left, self._models(middles)[0], noise, EVERY * self._step)
         return panels
 
     def _means(self, memory: Memory, span: int) -> Means:
@@ -100,9 +124,8 @@ class MotionWatch(SensorWatch):
 
     def _places(self, memory: Memory, means: Means, panels: PanelBound | None) -> Places:
         """What the middles of windows tell."""
-        nv, count, middle = self._nv, len(self._force), -1 - means.middle
-        ends = np.cumsum([nv * nv, nv * nv, nv, nv * count])
-        mass, inverse, bound, pushes, payload = np.split(memory.frames[middle], ends, axis=1)
+        middle = -1 - means.middle
+        mass, inverse, bound, pushes, payload = self._models(memory.states[middle])
         moved = memory.kept[:, self._at["moved"]]
         turns = np.abs(moved[-1] - moved[-means.window])
         turns[:, 3:NUM_BASE_VELOCITIES] = 0.0
@@ -111,10 +134,9 @@ class MotionWatch(SensorWatch):
             pairs = zip(means.window.tolist(), means.is_slope.tolist(), strict=True)
             of_panels[:] = [panels.of(window, is_slope=is_slope) for window, is_slope in pairs]
         return Places(
-            mass=mass.reshape(-1, nv, nv), inverse=inverse.reshape(-1, nv, nv), bound=bound,
-            velocity=memory.kept[middle, self._at["velocity"]],
-            payload=payload[:, : payload.shape[1] * self._is_loaded],
-            pushes=pushes.reshape(len(mass), nv, count), panels=of_panels, turned=turns.max(axis=1),
+            mass=mass, inverse=inverse, bound=bound, payload=payload, pushes=pushes,
+            velocity=memory.kept[middle, self._at["velocity"]], panels=of_panels,
+            turned=turns.max(axis=1),
         )  # fmt: skip
 
     def _votes(

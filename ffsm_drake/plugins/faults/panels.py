@@ -23,15 +23,16 @@ class PanelBound:
     def update(self, left: np.ndarray, mass: np.ndarray, noise: np.ndarray, step: float) -> None:
         """Take a block's slopes into account.
 
-        Args: summed unexplained changes (m, nv) and mass matrices (m, nv, nv) of blocks that are
-        ``step`` s apart; the noise (nv) of a block's velocities.
+        Args: summed unexplained changes (m, nv) of blocks that are ``step`` s apart; mass matrices
+        (spans, nv, nv) in the middle of each of the ``SPANS``; the noise (nv) of a block's
+        velocities.
         """
         now = self._grown[-1].copy()
         for row, count in enumerate(SPANS):
             if count > len(left):
                 continue
             time = times_of(count, step)
-            of = mass[-1 - count // 2]
+            of = mass[row]
             force = of @ (time @ left[-count:]) / (time @ time)
             rough = np.sqrt(of**2 @ noise**2 / (time @ time))
             beyond = np.maximum(np.abs(force) - _NOISES * rough, 0.0)

@@ -184,7 +184,7 @@ def test_a_jam_is_named_and_no_thruster(joint, size, is_back, seed):
 def memory(units=5):
     return SimpleNamespace(
         against=np.zeros((10, units)), voted=np.zeros(10), agreed=np.zeros(3),
-        doubted=np.zeros(1 + units),
+        doubted=np.zeros(2 + units),
     )  # fmt: skip
 
 
@@ -237,6 +237,25 @@ def test_units_that_cannot_be_told_apart_are_reported_together():
     assert found is not None
     assert found.units.tolist() == [0, 2]
     assert now >= 69
+
+
+@pytest.mark.parametrize(("apart", "is_reported"), [(1, True), (17, True), (21, False)])
+def test_looks_count_together_only_if_little_time_is_between_them(apart, is_reported):
+    kept, alike = memory(), of_unit([0.0, 50.0, 0.0, 50.0, 50.0])
+    times = 30.0 + apart * np.arange(60.0)
+    found = [decided({0: (4, alike)}, kept, ALL, now) for now in times]
+    assert any(each is not None for each in found) == is_reported
+
+
+def test_a_unit_in_doubt_is_one_that_each_look_names():
+    """The looks name 0 and 1, or 0 and 2, in turn: 0 alone is left."""
+    kept, found = memory(), list[object]()
+    one, other = of_unit([0.0, 3.0, *[50.0] * 3]), of_unit([0.0, 50.0, 3.0, 50.0, 50.0])
+    for now in range(30, 70):
+        votes = {0: (4, one if now % 2 else other)}
+        found.append(decided(votes, kept, ALL, float(now)))
+    assert found[:-1] == [None] * 39
+    assert (found[-1].units.tolist(), found[-1].kind) == ([0], "stuck_on")
 
 
 def test_a_new_force_does_not_widen_the_bound_of_panels():
