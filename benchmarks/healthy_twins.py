@@ -83,7 +83,7 @@ def fed_blocks(kept: dict[str, Any], first: float, last: float) -> dict[str, np.
             panels.append(_of_panels(detector, memory))
     assert detector is not None
     at = detector._at
-    _, inverse, bound, _, payload = detector._models(np.array(states))
+    _, inverse, bound, _, payload = detector._models.at(np.array(states))
     bound[:, :6] += panels
     return {
         "left": np.array(rows)[:, at["left"]],

@@ -20,6 +20,7 @@ from ffsm_drake.plugins.faults.payload_error import force_by_errors
 from ffsm_drake.plugins.faults.windows import slope_weights
 
 WINDOWS = (4, 8, 16, 32, 64)  # blocks of slopes
+CHAIN, LINKS = 16, 4  # blocks of slopes that follow one another; their number
 FIRED = (4, 16, 64)  # blocks of means that are weighted by the force of a thruster
 FIRST = 13  # blocks from which on there are features
 _MODEL, _TURN = 0.004, 0.1  # error of the model, of accelerations: least; for each rad of motion
@@ -44,14 +45,14 @@ class Features:
     told: np.ndarray  # (F, n) mean commanded force of each thruster, N
 
     def at_most(self, errors: np.ndarray) -> np.ndarray:
-        """A sum of squares (F) that normal causes leave at most, with one of k payloads.
+        """Sums of squares (F, k) that normal causes leave at most, with each of k payloads.
 
         Args: their errors (10, k), as shares of half their intervals; without a payload, (0, k).
         """
         nv = self.y.shape[1]
         share = self.forces @ (self.y[:, :, None] - self.matrix[:, :, nv:] @ errors)
         beyond = self.matrix[:, :, :nv] @ (share - np.clip(share, -1.0, 1.0))
-        squares: np.ndarray = (beyond**2).sum(axis=1).min(axis=1)
+        squares: np.ndarray = (beyond**2).sum(axis=1)
         return squares
 
 
@@ -61,7 +62,8 @@ class Means:
 
     window: np.ndarray  # (F) blocks
     is_slope: np.ndarray  # (F)
-    middle: np.ndarray  # (F) blocks from the last one back to the middle
+    ago: np.ndarray  # (F) blocks from the last one back to the end of the window
+    middle: np.ndarray  # (F) blocks from the last one back to its middle
     unexplained: np.ndarray  # (F, nv) accelerations
     acceleration: np.ndarray  # (F, nv)
     noise: np.ndarray  # (F, nv) standard deviation of ``unexplained``
@@ -69,18 +71,26 @@ class Means:
 
 
 def slopes(
-    left: np.ndarray, velocity: np.ndarray, told: np.ndarray, noise: np.ndarray, step: float
+    left: np.ndarray,
+    velocity: np.ndarray,
+    told: np.ndarray,
+    noise: np.ndarray,
+    step: float,
+    windows: np.ndarray,
+    ago: np.ndarray,
 ) -> Means:
-    """Slopes over the ``WINDOWS`` that m blocks fill, ``step`` s apart.
+    """Slopes over windows (F) of m blocks that are ``step`` s apart.
 
     Args: of blocks, unexplained changes and velocities (m, nv), impulses (m, n), each summed up;
-    the noise (nv) of a velocity's mean over a block.
+    the noise (nv) of a velocity's mean over a block; also how many blocks ago each window ended.
     """
-    windows = np.array([each for each in WINDOWS if max(each, FIRST) <= len(left)], dtype=int)
-    weights = slope_weights(tuple(windows.tolist()), len(left), step)
+    weights = np.zeros((len(windows), len(left)))
+    ends = len(left) - ago
+    for row, (first, end) in enumerate(zip(ends - windows, ends, strict=True)):
+        weights[row, first:end] = slope_weights((int(end - first),), int(end - first), step)[0]
     return Means(
-        window=windows, is_slope=np.ones(len(windows), dtype=bool), middle=windows // 2,
-        unexplained=weights @ left, acceleration=weights @ velocity, told=weights @ told,
+        window=windows, is_slope=np.ones(len(windows), dtype=bool), middle=windows // 2 + ago,
+        ago=ago, unexplained=weights @ left, acceleration=weights @ velocity, told=weights @ told,
         noise=np.linalg.norm(weights, axis=1)[:, None] * noise,
     )  # fmt: skip
 
@@ -112,6 +122,7 @@ def fired(sums: np.ndarray, force: np.ndarray, noise: np.ndarray, step: float) -
     left, expected = means[:, count : count + nv], means[:, count + nv : count + 2 * nv]
     return Means(
         window=windows, is_slope=np.zeros(len(windows), dtype=bool), middle=middles,
+        ago=0 * windows,
         unexplained=left, acceleration=left + expected, told=means[:, :count],
         noise=roughs[:, None] * noise,
     )  # fmt: skip

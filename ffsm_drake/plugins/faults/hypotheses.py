@@ -53,10 +53,13 @@ class Hypotheses:
         """Indices of the units (h): thrusters after ``joints`` joints; -1: no fault."""
         return np.where(self.thruster >= 0, joints + self.thruster, self.joint)
 
-    def signature(self, of: Features, force: np.ndarray) -> tuple[np.ndarray, ...]:
+    def signature(
+        self, of: Features, force: np.ndarray, *, is_chain: bool = False
+    ) -> tuple[np.ndarray, ...]:
         """W s of the unknowns (h, F, nv, F), and their lowest and highest values (h, F).
 
-        Args: features; full forces (n), N.
+        Args: features; full forces (n), N; whether a thruster has a share in each feature, since
+        the fault may begin between them.
         """
         count, nv = of.y.shape
         size = len(self.joint)
@@ -72,12 +75,22 @@ class Hypotheses:
         told = np.clip(of.told, 0.0, force)[:, index]
         missing = np.where(more, force[index] - told, -told)  # (F, valves), N
         along = np.einsum("fij,fjv->fiv", of.white, of.pushes[:, :, index])
-        matrix[valves, :, :, 0] = (along * missing[:, None]).transpose(2, 0, 1)
-        low[valves, 0], high[valves, 0] = 0.0, 1.0
+        of_valves = (along * missing[:, None]).transpose(2, 0, 1)
+        if is_chain:
+            for feature in each:
+                matrix[valves, feature, :, feature] = of_valves[:, feature]
+            low[valves], high[valves] = 0.0, 1.0
+        else:
+            matrix[valves, :, :, 0] = of_valves
+            low[valves, 0], high[valves, 0] = 0.0, 1.0
         return matrix, low, high
 
-    def squares(self, of: Features, force: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The least squares (h) that each leaves, and its first unknown: a force, or a share."""
+    def squares(
+        self, of: Features, force: np.ndarray, *, is_chain: bool = False
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The least squares (h) that each leaves, its first unknown, a force or a share (h), and
+        errors of the payload (h, 10).
+        """
         count, nv = of.y.shape
         own = of.matrix.shape[2] - nv
         wide = count * nv + own
@@ -87,7 +100,7 @@ class Hypotheses:
         matrix[:, :, count * nv :] = of.matrix[:, :, nv:]
         low = np.concatenate([of.low[:, :nv].ravel(), of.low[0, nv:]])
         high = np.concatenate([of.high[:, :nv].ravel(), of.high[0, nv:]])
-        signature, lowest, highest = self.signature(of, force)
+        signature, lowest, highest = self.signature(of, force, is_chain=is_chain)
         size = len(self.joint)
         whole = np.broadcast_to(matrix.reshape(1, count * nv, wide), (size, count * nv, wide))
         found, unknowns = least_squares(
@@ -96,7 +109,7 @@ class Hypotheses:
             np.hstack([np.broadcast_to(low, (size, wide)), lowest]),
             np.hstack([np.broadcast_to(high, (size, wide)), highest]),
         )
-        return found, unknowns[:, wide]
+        return found, unknowns[:, wide], unknowns[:, count * nv : wide]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -124,7 +137,7 @@ def vote(of: Features, squares: np.ndarray, force: np.ndarray, among: Hypotheses
         return None
     slope = np.flatnonzero(of.is_slope)
     stack = rows_of(of, np.concatenate([order, slope[~np.isin(slope, order)]]))
-    left, _ = among.squares(rows_of(of, order[:1]), force)
+    left, _, _ = among.squares(rows_of(of, order[:1]), force)
     if left[1:].min(initial=np.inf) > max(_MOST * np.sqrt(len(stack.y)), _REST * squares.sum()):
         return None
     left = left.copy()
@@ -132,20 +145,38 @@ def vote(of: Features, squares: np.ndarray, force: np.ndarray, among: Hypotheses
     share = np.zeros(len(left))
     which = np.array([0, 1 + int(left[1:].argmin())])
     while which.size:
-        left[which], share[which] = among.of_places(which).squares(stack, force)
+        left[which], share[which], _ = among.of_places(which).squares(stack, force)
         known[which] = True
         best = 1 + int(np.where(known, left, np.inf)[1:].argmin())
         room = MARGIN + RELATIVE * left[0]
         which = np.flatnonzero(~known & (left < left[best] + room))
-    total, least = float(left[0]), float(left[best])
-    if least > max(_MOST * np.sqrt(len(stack.y)), _REST * total) or total - least < ALARM - 8.0:
+    return _ranked(left, share, among, len(stack.y), (joints, len(force)))
+
+
+def vote_of_chain(of: Features, force: np.ndarray, among: Hypotheses) -> Vote | None:
+    """The vote of a chain of slopes, if one hypothesis explains them; arguments as ``vote``."""
+    left, share, _ = among.squares(of, force, is_chain=True)
+    sizes = of.y.shape[1] - NUM_BASE_VELOCITIES, len(force)
+    return _ranked(left, share, among, len(of.y), sizes)
+
+
+def _ranked(
+    left: np.ndarray, share: np.ndarray, among: Hypotheses, count: int, sizes: tuple[int, int]
+) -> Vote | None:
+    """The vote, if the best hypothesis is good.
+
+    Args: squares and shares (h); hypotheses; numbers of features, and of joints and thrusters.
+    """
+    total, least = float(left[0]), float(left[1:].min())
+    if least > max(_MOST * np.sqrt(count), _REST * total) or total - least < ALARM - 8.0:
         return None
-    units = among.units(joints)
-    worse = np.full(joints + len(force), np.inf)
+    units = among.units(sizes[0])
+    worse = np.full(sum(sizes), np.inf)
     np.minimum.at(worse, units[1:], np.maximum(left[1:] - least - RELATIVE * total, 0.0))
     gives_more, shares = np.zeros(worse.size, dtype=bool), np.zeros(worse.size)
     better = 1 + np.argsort(-left[1:], kind="stable")  # the last one stays
     gives_more[units[better]], shares[units[better]] = among.gives_more[better], share[better]
+    best = 1 + int(left[1:].argmin())
     return Vote(
         best=int(units[best]), gives_more=gives_more, share=shares, worse=worse, total=total
     )

@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import numpy as np
 from pydrake.multibody.tree import Frame
 
-from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.actuators.base import LOST, STUCK_ON
 from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.plugins.actuators.row import make_base_actuators
@@ -17,6 +16,7 @@ from ffsm_drake.plugins.faults import payload_error
 from ffsm_drake.plugins.faults.bounds import Bounds
 from ffsm_drake.plugins.faults.features import WINDOWS as FORCE_WINDOWS
 from ffsm_drake.plugins.faults.jam import JAMMED
+from ffsm_drake.plugins.faults.models import Models
 from ffsm_drake.plugins.faults.panels import AGO, SIZE, SPANS
 from ffsm_drake.plugins.faults.sensors import (
     SENSOR_FAULTS,
@@ -92,10 +92,10 @@ class Known:
         self._leg = float(held.mass)
         factor = self._settings.payload_factor if setup.grip.holds else 1.0
         self._box = payload_error.intervals(held, factor)
-        self._payload: tuple[Frame, np.ndarray] | None = None
+        payload: tuple[Frame, np.ndarray] | None = None
         if held.mass > 0.0:
             frame = find_frame(self._model.plant, scenario.payload.body, key="payload.body")
-            self._payload = frame, np.array(held.center_of_mass, dtype=float)
+            payload = frame, np.array(held.center_of_mass, dtype=float)
         self._damping = damping_of(self._model.plant)
         self._is_flexible = bool(scenario.model.flexible)
         actuation = allocated(scenario)
@@ -105,13 +105,13 @@ class Known:
                 actuation, coordinates, sample_time=self._step, detects=True
             )
         self._read_sensors(scenario, coordinates)
-        self._bounds = Bounds(setup)
-        self._known_rows = dict[bytes, np.ndarray]()  # of ``MotionWatch._models``
         # of the observer of lost velocities: three equal poles for each coordinate, without
         # steady-state error under a constant unreported force
         w = coordinates.vector(_BANDWIDTH, key="bandwidth", default=0.0)
         self._gains = np.array([3.0 * w, 3.0 * w**2, w**3]) * self._step
         self._lay_out()
+        wrenches = np.zeros((6, 0)) if self._thrusters is None else self._thrusters.wrenches
+        self._models = Models(self._model, Bounds(setup), wrenches, payload)
 
     def _read_sensors(self, scenario: Scenario, coordinates: Coordinates) -> None:
         """Read the sensors' properties: update pattern and noise."""
@@ -168,7 +168,7 @@ class Known:
         of_sensors = ("leg", "samples", "blocks", "looks", "abort_request", "jumped")
         of_forces = ("span", "clock", "tries", "was_off")
         firing, units = count * (count + 2 * nv + 2), len(self._joints) + count
-        rows = 2 * len(FORCE_WINDOWS)
+        rows = 2 * len(FORCE_WINDOWS) + 1
         self._shapes: dict[str, tuple[int, ...]] = {
             **dict.fromkeys((*of_sensors, *of_forces), ()),
             **dict.fromkeys(("raw", "seen", "stale", "observed"), (size,)),
@@ -179,7 +179,7 @@ class Known:
             "told": (self._num_units,), "momentum": (self._num_wheels,), "kept": (SPAN, ends[-1]),
             "states": (SPAN, size), "firing": (firing,), "fired": (SPAN, firing),
             "fires": (count,), "against": (rows, units), "voted": (rows,), "agreed": (3,),
-            "doubted": (2 + units,), "errors": (payload_error.NUM_ERRORS,),
+            "doubted": (2 + units,), "errors": (2, payload_error.NUM_ERRORS),
             "grows": (len(SPANS) * self._is_flexible,),
             "grown": ((AGO + 1) * self._is_flexible, len(SPANS), SIZE),
         }  # fmt: skip
@@ -202,14 +202,6 @@ class Known:
         force = force - self._model.calc_bias(q, v)
         found: np.ndarray = np.linalg.solve(self._model.calc_mass_matrix(q), force)
         return found
-
-    def _pushes(self, state: np.ndarray) -> np.ndarray:
-        """Generalized forces (nv, n) of unit forces of thrusters."""
-        pushes = np.zeros((self._nv, len(self._force)))
-        if self._thrusters is not None:
-            pairs = self._thrusters.wrenches.reshape(2, 3, -1)
-            pushes[:6] = (matrix_of(state[:4]) @ pairs).reshape(6, -1)
-        return pushes
 
     @staticmethod
     def _forget(memory: Memory) -> None:

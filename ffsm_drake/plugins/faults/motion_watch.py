@@ -9,14 +9,21 @@ import numpy as np
 from ffsm_drake.plugins.faults import features
 from ffsm_drake.plugins.faults.box_squares import least_squares
 from ffsm_drake.plugins.faults.decision import Found, decided
-from ffsm_drake.plugins.faults.features import WINDOWS, Features, Means, Places, rows_of
-from ffsm_drake.plugins.faults.hypotheses import ALARM, Hypotheses, Vote, vote
+from ffsm_drake.plugins.faults.features import (
+    CHAIN,
+    LINKS,
+    WINDOWS,
+    Features,
+    Means,
+    Places,
+    rows_of,
+)
+from ffsm_drake.plugins.faults.hypotheses import ALARM, Hypotheses, Vote, vote, vote_of_chain
 from ffsm_drake.plugins.faults.jam import JAMMED
 from ffsm_drake.plugins.faults.known import CODE, EVERY, SPAN, SUSPECTED, Memory
 from ffsm_drake.plugins.faults.known import WINDOWS as SENSOR_WINDOWS
 from ffsm_drake.plugins.faults.panels import SIZE as PANELS
 from ffsm_drake.plugins.faults.panels import SPANS, PanelBound
-from ffsm_drake.plugins.faults.payload_error import place
 from ffsm_drake.plugins.faults.sensor_watch import SLOPE, SensorWatch, Slips
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 
@@ -48,37 +55,8 @@ class MotionWatch(SensorWatch):
         memory.span += 1.0
         memory.clock += 1.0
         memory.states = np.vstack([memory.states[1:], memory.seen])
-        _, inverse, _, pushes, _ = self._models(memory.states[-1:])
+        _, inverse, _, pushes, _ = self._models.at(memory.states[-1:])
         memory.reach = self._step * np.abs(inverse[0] @ pushes[0]) @ self._force
-
-    def _models(self, states: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Mass matrix (n, nv, nv), its inverse, bound of forces (n, nv), pushes of thrusters
-        (n, nv, thrusters) and place of the payload (n, 6 nv + 6, or 0) in each state.
-        """
-        nv, count = self._nv, len(self._force)
-        rows = np.array([self._model_row(state) for state in states])
-        ends = np.cumsum([nv * nv, nv * nv, nv, nv * count])
-        mass, inverse, bound, pushes, payload = np.split(rows, ends, axis=1)
-        square = len(states), nv, nv
-        pushes = pushes.reshape(len(states), nv, count)
-        return mass.reshape(square), inverse.reshape(square), bound, pushes, payload
-
-    def _model_row(self, state: np.ndarray) -> np.ndarray:
-        """``_models`` of one state; those of the last states are kept, since windows share them."""
-        key = state.tobytes()
-        row = self._known_rows.get(key)
-        if row is None:
-            mass = np.array(self._model.calc_mass_matrix(state[: self._nq]))
-            payload = np.zeros(0)
-            if self._payload is not None:
-                payload = place(self._model, *self._payload, state)
-            bound = self._bounds.of_force(mass, state)
-            parts = (mass, np.linalg.inv(mass), bound, self._pushes(state), payload)
-            row = np.concatenate([each.ravel() for each in parts])
-            if len(self._known_rows) >= 2 * SPAN:
-                self._known_rows.pop(next(iter(self._known_rows)))
-            self._known_rows[key] = row
-        return row
 
     def _look_at_forces(self, memory: Memory, slips: Slips) -> None:
         """Report a fault that the last blocks show; without evidence, each second block looks."""
@@ -97,6 +75,8 @@ class MotionWatch(SensorWatch):
         if memory.tries > _PATIENCE and int(memory.clock) % _PERIOD >= _BURST:
             return
         votes = self._votes(memory, self._means(memory, span), panels)
+        if span >= CHAIN * LINKS and (memory.tries or int(memory.clock) % 4 == 0):
+            votes = self._vote_of_chain(memory, votes)
         memory.tries = memory.tries + 1.0 if votes is not None else 0.0
         if votes and (found := decided(votes, memory, self._possible(memory), memory.clock)):
             self._report(memory, found)
@@ -107,27 +87,33 @@ class MotionWatch(SensorWatch):
         noise = np.maximum(self._velocity_noise, _NOISE) / np.sqrt(EVERY)
         left = memory.kept[-span:, self._at["left"]]
         middles = memory.states[[-1 - min(count, span) // 2 for count in SPANS]]
-        panels.update(left, self._models(middles)[0], noise, EVERY * self._step)
+        panels.update(left, self._models.at(middles)[0], noise, EVERY * self._step)
         return panels
+
+    def _slopes(self, memory: Memory, windows: np.ndarray, ago: np.ndarray) -> Means:
+        """Slopes over windows of blocks that ended so many blocks ago."""
+        kept = memory.kept[-int((windows + ago).max(initial=1)) :]
+        left, velocity, told = (kept[:, self._at[name]] for name in ("left", "velocity", "impulse"))
+        noise = np.maximum(self._velocity_noise, _NOISE) / np.sqrt(EVERY)
+        step = EVERY * self._step
+        return features.slopes(left, velocity, told, noise, step, windows, ago)
 
     def _means(self, memory: Memory, span: int) -> Means:
         """Slopes, then means that are weighted by forces."""
-        kept, count = memory.kept[-span:], len(self._force)
-        noise = np.maximum(self._velocity_noise, _NOISE)
-        of_block = noise / np.sqrt(EVERY)
-        left, velocity, told = (kept[:, self._at[name]] for name in ("left", "velocity", "impulse"))
-        found = [features.slopes(left, velocity, told, of_block, EVERY * self._step)]
+        windows = np.array([each for each in WINDOWS if max(each, features.FIRST) <= span])
+        found, count = [self._slopes(memory, windows, 0 * windows)], len(self._force)
         if count:
             sums = memory.fired[-span:].reshape(span, count, -1)
+            noise = np.maximum(self._velocity_noise, _NOISE)
             found.append(features.fired(sums, self._force, noise, self._step))
         return features.joined(found)
 
     def _places(self, memory: Memory, means: Means, panels: PanelBound | None) -> Places:
         """What the middles of windows tell."""
         middle = -1 - means.middle
-        mass, inverse, bound, pushes, payload = self._models(memory.states[middle])
+        mass, inverse, bound, pushes, payload = self._models.at(memory.states[middle])
         moved = memory.kept[:, self._at["moved"]]
-        turns = np.abs(moved[-1] - moved[-means.window])
+        turns = np.abs(moved[-1 - means.ago] - moved[-means.window - means.ago])
         turns[:, 3:NUM_BASE_VELOCITIES] = 0.0
         of_panels = np.zeros((len(mass), PANELS))
         if panels is not None:
@@ -152,16 +138,16 @@ class MotionWatch(SensorWatch):
             means, places = rows_of(means, rows), rows_of(places, rows)
             is_free = np.concatenate([is_free, np.ones(len(slope), dtype=bool)])
         all_of = features.whitened(means, places, self._box, is_free)
-        errors = memory.errors[: all_of.matrix.shape[2] - self._nv]
+        errors = memory.errors[0, : all_of.matrix.shape[2] - self._nv]
         # payloads that explained what was seen before: the nominal one, the last one
-        squares = all_of.at_most(np.column_stack([0.0 * errors, errors]))
+        squares = all_of.at_most(np.column_stack([0.0 * errors, errors])).min(axis=1)
         looks = np.flatnonzero(squares > ALARM)
         if not looks.size:
             return None
         of = rows_of(all_of, looks)
         squares[looks], unknowns = least_squares(of.matrix, of.y, of.low, of.high, ALARM)
         if not (squares > ALARM).any():
-            memory.errors[: errors.size] = unknowns[squares[looks].argmax(), self._nv :]
+            errors[:] = unknowns[squares[looks].argmax(), self._nv :]
             return None
         return self._votes_of(memory, all_of, squares)
 
@@ -183,6 +169,27 @@ class MotionWatch(SensorWatch):
                 continue
             votes[row] = window, found
         return votes
+
+    def _vote_of_chain(
+        self, memory: Memory, votes: dict[int, tuple[int, Vote]] | None
+    ) -> dict[int, tuple[int, Vote]] | None:
+        """With the vote of slopes that follow one another: a payload that explains each of them
+        may not explain all. Flexible parts are free to act on the base.
+        """
+        ago, is_free = CHAIN * np.arange(LINKS), np.full(LINKS, self._is_flexible)
+        means = self._slopes(memory, np.full(LINKS, CHAIN), ago)
+        of = features.whitened(means, self._places(memory, means, None), self._box, is_free)
+        errors = memory.errors[1, : of.matrix.shape[2] - self._nv]
+        if of.at_most(np.column_stack([0.0 * errors, errors])).sum(axis=0).min() < ALARM:
+            return votes
+        joints, thrusters = self._in_use(memory)
+        among = Hypotheses.of(joints, thrusters[: 0 if self._is_flexible else None])
+        left, _, payload = among.of_places(np.zeros(1, dtype=int)).squares(of, self._force)
+        if left[0] < ALARM:
+            errors[:] = payload[0]
+            return votes
+        found = vote_of_chain(of, self._force, among)
+        return (votes or {}) | ({} if found is None else {2 * len(WINDOWS): (CHAIN, found)})
 
     def _in_use(self, memory: Memory) -> tuple[np.ndarray, np.ndarray]:
         """Indices of joints and thrusters without a known fault."""

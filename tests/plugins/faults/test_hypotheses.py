@@ -1,5 +1,6 @@
 """Hypotheses on faults of joints and thrusters: solver, payload, votes and decision."""
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +15,7 @@ from ffsm_drake.plugins.faults import features
 from ffsm_drake.plugins.faults.box_squares import least_squares
 from ffsm_drake.plugins.faults.decision import decided
 from ffsm_drake.plugins.faults.features import Means, Places, rows_of
-from ffsm_drake.plugins.faults.hypotheses import ALARM, Hypotheses, Vote, vote
+from ffsm_drake.plugins.faults.hypotheses import ALARM, Hypotheses, Vote, vote, vote_of_chain
 from ffsm_drake.plugins.faults.panels import AGO, SIZE, SPANS, PanelBound
 from ffsm_drake.plugins.faults.payload_error import force_by_errors, intervals, place
 from ffsm_drake.scenario import MassProperties
@@ -125,7 +126,7 @@ def seen(rng, force_of, *, told=None):
     normal = BOUND * np.sin(rng.uniform(0.0, 6.0, (count, NV)))
     noise = np.full((count, NV), 1e-5)
     means = Means(
-        window=windows, is_slope=np.ones(count, dtype=bool), middle=windows // 2,
+        window=windows, is_slope=np.ones(count, dtype=bool), middle=windows // 2, ago=0 * windows,
         unexplained=(forces + normal) @ np.linalg.inv(mass) + 1e-5 * rng.normal(size=(count, NV)),
         acceleration=np.zeros((count, NV)), noise=noise, told=told,
     )  # fmt: skip
@@ -152,7 +153,7 @@ def test_disturbances_within_the_bound_are_no_evidence(seed):
     found = seen(np.random.default_rng(seed), lambda pushes, told: np.zeros(NV))
     squares, votes = votes_of(found)
     assert (squares < ALARM).all()
-    assert (squares <= found.at_most(np.zeros((0, 1))) + 1.0).all()
+    assert (squares <= found.at_most(np.zeros((0, 1)))[:, 0] + 1.0).all()
     assert votes == [None] * len(votes)
 
 
@@ -179,6 +180,31 @@ def test_a_jam_is_named_and_no_thruster(joint, size, is_back, seed):
         assert each is not None
         assert each.best == joint
         assert (np.delete(each.worse, joint) > 14.0).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, JOINTS - 1), st.integers(0, 10**6))
+def test_slopes_that_need_different_payloads_show_a_jam(joint, seed):
+    """A payload explains each slope, none explains all: one has a large force, the others none."""
+    rng = np.random.default_rng(seed)
+    force = np.zeros(NV)
+    force[6 + joint] = 20.0
+    of = seen(rng, lambda pushes, told: force * told[0], told=np.eye(3, THRUSTERS))
+    column = (of.white @ force)[:, :, None]
+    of = dataclasses.replace(
+        of, matrix=np.concatenate([of.matrix, column, np.zeros((3, NV, 9))], axis=2),
+        low=np.hstack([of.low, np.full((3, 10), -1.0)]),
+        high=np.hstack([of.high, np.ones((3, 10))]),
+    )  # fmt: skip
+    each, _ = least_squares(of.matrix, of.y, of.low, of.high)
+    assert (each < ALARM).all()
+    found = vote_of_chain(of, FORCE, Hypotheses.of(np.arange(JOINTS), np.zeros(0, dtype=int)))
+    assert found is not None
+    assert found.best == joint
+    assert found.total > ALARM
+    # without the fault, the same payload is enough
+    quiet = dataclasses.replace(of, y=of.y - (of.white @ force) * [[1.0], [0.0], [0.0]])
+    assert vote_of_chain(quiet, FORCE, Hypotheses.of(np.arange(JOINTS), np.arange(0))) is None
 
 
 def memory(units=5):
