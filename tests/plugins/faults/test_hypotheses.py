@@ -274,11 +274,11 @@ def test_looks_count_together_only_if_little_time_is_between_them(apart, is_repo
 
 
 def test_a_unit_in_doubt_is_one_that_each_look_names():
-    """The looks name 0 and 1, or 0 and 2, in turn: 0 alone is left."""
+    """Two windows name 0 and 1, or 0 and 2, in turn: 0 alone is left."""
     kept, found = memory(), list[object]()
-    one, other = of_unit([0.0, 3.0, *[50.0] * 3]), of_unit([0.0, 50.0, 3.0, 50.0, 50.0])
+    one, other = of_unit([0.0, 0.0, *[50.0] * 3]), of_unit([0.0, 50.0, 0.0, 50.0, 50.0])
     for now in range(30, 70):
-        votes = {0: (4, one if now % 2 else other)}
+        votes = {0: (4, one)} if now % 2 else {2: (8, other)}
         found.append(decided(votes, kept, ALL, float(now)))
     assert found[:-1] == [None] * 39
     assert (found[-1].units.tolist(), found[-1].kind) == ([0], "stuck_on")
