@@ -219,7 +219,8 @@ def _draw_mission(axes: Axes, board: Board, found: Comparison, laws: Sequence[st
         for offset, name in zip((-0.16, 0.16), COMPARED, strict=True):
             if name in each:
                 _draw_ratio(axes, each[name], row + offset, _MARKERS[name])
-        if standing is not None and (standing.settled < len(standing.outcomes) or not each):
+        has_ratio = any(name in each for name in COMPARED)
+        if standing is not None and (standing.settled < len(standing.outcomes) or not has_ratio):
             runs = f"{standing.settled}/{len(standing.outcomes)}" if standing.was_run else "no runs"
             axes.text(
                 0.99, row, runs, transform=axes.get_yaxis_transform(), fontsize=7,
