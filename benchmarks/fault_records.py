@@ -33,6 +33,7 @@ from ffsm_drake.systems.sampled import Arrays, Now
 from ffsm_drake.systems.setup import BlockSetup
 
 KINDS = ("faulty", "healthy", "jams")
+LONGER = 1e3  # s
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -81,7 +82,9 @@ def read(path: Path) -> dict[str, Any]:
             leg, _, name = key.partition(".")
             if name:
                 legs[int(leg)]["fed"][name] = arrays[key]
-    return kept | {"scenario": scenario_from_dict(kept["scenario"]), "legs": legs}
+    # a drawn run may end before its approach does, which a scenario file may not
+    plain = kept["scenario"] | {"duration": kept["scenario"]["duration"] + LONGER}
+    return kept | {"scenario": scenario_from_dict(plain), "legs": legs}
 
 
 def arms(folder: Path) -> list[Path]:
