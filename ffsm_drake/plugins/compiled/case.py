@@ -1,10 +1,9 @@
 """What runs share that differ at most in their controllers."""
 
-import collections
 import copy
 import dataclasses
 import functools
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from pydrake.systems.framework import System
@@ -23,6 +22,7 @@ from ffsm_drake.plugins.compiled.parts import (
     row,
     sampled_of,
 )
+from ffsm_drake.plugins.compiled.recent import Recent
 from ffsm_drake.plugins.compiled.scenario_blocks import ScenarioBlocks
 from ffsm_drake.plugins.compiled.schemes import steps_of
 from ffsm_drake.runs.engine import NotCovered
@@ -296,7 +296,7 @@ class Case:
         return self.planned | {"noise": self.noise.white, "drift_noise": self.noise.drift}
 
 
-_cases: collections.OrderedDict[Hashable, tuple[Scenario, Case]] = collections.OrderedDict()
+_cases = Recent[tuple[Scenario, Case]](_KEPT)
 
 
 def case_of(mission: Mission, grip: Grip = HELD) -> Case:
@@ -307,10 +307,8 @@ def case_of(mission: Mission, grip: Grip = HELD) -> Case:
     if scenario.blocks.choices():
         return Case(mission, grip)
     key, shared = (grip, scenario.random_seed), dataclasses.replace(scenario, controller="")
-    known, case = _cases.get(key, (None, None))
+    known, case = _cases.get(key) or (None, None)
     if case is None or known != shared or case.mission.plan is not mission.plan:
         case = Case(mission, grip)
-        _cases[key] = shared, case
-        if len(_cases) > _KEPT:
-            _cases.popitem(last=False)
+        _cases.keep(key, (shared, case))
     return case

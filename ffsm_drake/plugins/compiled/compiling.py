@@ -3,13 +3,16 @@
 A kept file has the code's checksum before it. It is compiled anew if that does not agree, or if
 another user owns it or may write to it. Its name is a hash of the text, or of what the text is made
 from by this package, of llvmlite and of the processor. The folder is ``ffsm_drake/compiled`` in
-``XDG_CACHE_HOME`` (default: ``~/.cache``); where it cannot be written, nothing is kept.
+``XDG_CACHE_HOME`` (default: ``~/.cache``); where it cannot be written, nothing is kept. Whenever a
+file is added, those that were not used for ``_LONGEST`` are removed, and of the others those used
+longest ago beyond ``_MOST`` in all.
 """
 
 import ctypes
 import functools
 import hashlib
 import os
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from importlib.metadata import version
@@ -24,6 +27,7 @@ from ffsm_drake.plugins.compiled.registers import Registers
 _MAGIC = b"ffsm_drake compiled code\n"
 _DIGEST = hashlib.sha256().digest_size
 _LARGEST = 2**26  # bytes of a kept file
+_MOST, _LONGEST = 2**30, 90 * 86400.0  # bytes of all files; s since a file was used
 
 
 @functools.cache
@@ -128,6 +132,8 @@ def _read(path: Path) -> bytes | None:
         content = file.read()
         code = content[len(_MAGIC) + _DIGEST :]
         if content == _sealed(code):
+            with suppress(OSError):
+                os.utime(path)  # it is used
             return code
     return None
 
@@ -140,3 +146,21 @@ def _keep(path: Path, code: bytes) -> None:
     with suppress(RecordError, OSError), written_whole(path) as temporary:
         temporary.touch(mode=0o600)
         temporary.write_bytes(_sealed(code))
+    _prune(path.parent)
+
+
+def _prune(folder: Path) -> None:
+    """Remove the files beyond ``_MOST`` and ``_LONGEST``."""
+    found = list[tuple[float, int, str]]()
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            with suppress(OSError):
+                if entry.name.endswith(".o") and entry.is_file(follow_symlinks=False):
+                    status = entry.stat(follow_symlinks=False)
+                    found.append((status.st_mtime, status.st_size, entry.path))
+    total, since = 0, time.time() - _LONGEST
+    for used, size, path in sorted(found, reverse=True):
+        total += size
+        if used < since or total > _MOST:
+            with suppress(OSError):
+                os.remove(path)

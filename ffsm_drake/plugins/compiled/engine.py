@@ -1,6 +1,5 @@
 """The engine ``compiled``: whole runs in machine code, compared with Drake before the first use."""
 
-import collections
 import functools
 import re
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
@@ -17,6 +16,7 @@ from ffsm_drake.plugins.compiled.kernel import Kernel
 from ffsm_drake.plugins.compiled.lanes import Lanes
 from ffsm_drake.plugins.compiled.logs import COMPILED
 from ffsm_drake.plugins.compiled.missions import NUDGE, Lane, advance, refusal
+from ffsm_drake.plugins.compiled.recent import Recent
 from ffsm_drake.plugins.compiled.run import Run, run_of
 from ffsm_drake.plugins.compiled.schemes import SCHEMES
 from ffsm_drake.plugins.equations.comparison import held_to_drake
@@ -128,7 +128,7 @@ class Compiled(Engine):
         return results
 
 
-_kernels: collections.OrderedDict[Hashable, Kernel | NotCovered] = collections.OrderedDict()
+_kernels = Recent[Kernel | NotCovered](_KEPT)
 # compared with Drake: runs' keys, and pairs of successive phases; those that are refused
 _judged, _refused = set[Hashable](), dict[Hashable, NotCovered]()
 
@@ -173,21 +173,21 @@ def _kernel_of(runs: Sequence[Run], *, alone: bool) -> Kernel:
     key = runs[0].key, alone
     if key in _refused:
         raise _refused[key]
-    if key not in _kernels:
-        try:
-            found = _compiled(runs[0], alone=alone)
-            if not is_shipped(runs[0].law):
-                _try_calls(found, runs[:2])
-            _kernels[key] = found
-        except FfsmError as error:  # Drake's loop, or llvmlite, may refuse it
-            _kernels[key] = refusal(error)
-    made = _kernels[key]
-    _kernels.move_to_end(key)
-    if len(_kernels) > _KEPT:
-        _kernels.popitem(last=False)
+    made = _kernels.get(key) or _kernels.keep(key, _tried(runs, alone=alone))
     if isinstance(made, NotCovered):
         raise made
     return made
+
+
+def _tried(runs: Sequence[Run], *, alone: bool) -> Kernel | NotCovered:
+    """The code of runs; if they are refused, why."""
+    try:
+        found = _compiled(runs[0], alone=alone)
+        if not is_shipped(runs[0].law):
+            _try_calls(found, runs[:2])
+    except FfsmError as error:  # Drake's loop, or llvmlite, may refuse it
+        return refusal(error)
+    return found
 
 
 def _compiled(run: Run, *, alone: bool) -> Kernel:

@@ -172,16 +172,17 @@ def advance(lanes: Iterable[Lane], kernel_of: Callable[[Sequence[Run]], Kernel])
 
 def _advanced(lanes: Sequence[Lane], kernel_of: Callable[[Sequence[Run]], Kernel]) -> list[Lane]:
     """Run the present phase of lanes with the same code. Return those that reach its end."""
-    found = list[Lane]()
     try:
         kernel = kernel_of([lane.run for lane in lanes])
-        for first in range(0, len(lanes), kernel.width):
-            found += _ended(kernel, lanes[first : first + kernel.width])
     except FfsmError as error:  # Drake's run may refuse it
         for lane in lanes:
             lane.result = refusal(error)
         return []
-    return found
+    return [
+        lane
+        for first in range(0, len(lanes), kernel.width)
+        for lane in _ended(kernel, lanes[first : first + kernel.width])
+    ]
 
 
 def refusal(error: FfsmError) -> NotCovered:
@@ -190,7 +191,32 @@ def refusal(error: FfsmError) -> NotCovered:
 
 
 def _ended(kernel: Kernel, lanes: Sequence[Lane]) -> list[Lane]:
-    """Run as many lanes as a register holds, as ``_advanced``."""
+    """Run as many lanes as a register holds, as ``_advanced``. An error leaves only its lane to
+    Drake.
+    """
+    try:
+        ends, spent = _leg(kernel, lanes)
+    except FfsmError as error:
+        if len(lanes) > 1:
+            return [lane for each in lanes for lane in _ended(kernel, [each])]
+        lanes[0].result = refusal(error)
+        return []
+    found = list[Lane]()
+    for lane, end in zip(lanes, ends, strict=True):
+        if end.left is not None:
+            continue
+        try:
+            lane.note(end, spent)
+            found.append(lane)
+        except FfsmError as error:
+            lane.result = refusal(error)
+    return found
+
+
+def _leg(kernel: Kernel, lanes: Sequence[Lane]) -> tuple[list[LaneEnd], dict[str, float]]:
+    """Run the present phase of as many lanes as a register holds. Return their ends, and the time
+    spent, s.
+    """
     start = time.perf_counter()
     if why := kernel.blocks.called:
         for lane in lanes:
@@ -208,8 +234,4 @@ def _ended(kernel: Kernel, lanes: Sequence[Lane]) -> list[Lane]:
         plans=plans_of(runs),
         ends=lanes[0].ends,
     )
-    spent = {"build": began - start, "advance_to": time.perf_counter() - began}
-    found = [(lane, end) for lane, end in zip(lanes, ends, strict=True) if end.left is None]
-    for lane, end in found:
-        lane.note(end, spent)
-    return [lane for lane, _ in found]
+    return ends, {"build": began - start, "advance_to": time.perf_counter() - began}

@@ -2,11 +2,9 @@
 with its exact derivative.
 """
 
-import collections
 import dataclasses
 import functools
 import math
-from collections.abc import Hashable
 
 import numpy as np
 
@@ -19,6 +17,7 @@ from ffsm_drake.plugins.compiled.engine import BLOCKS, Compiled
 from ffsm_drake.plugins.compiled.kernel import Step
 from ffsm_drake.plugins.compiled.parameters import rows_of
 from ffsm_drake.plugins.compiled.parts import kept_at, phases_at, sampled_of, sizes_of
+from ffsm_drake.plugins.compiled.recent import Recent
 from ffsm_drake.plugins.compiled.run import Run, run_of
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import HELD, Grip, MassProperties
@@ -26,7 +25,7 @@ from ffsm_drake.systems.reference import make_frame_motion
 
 _KEPT = 32  # codes
 _Codes = tuple[Step, Step]  # of a sample alone, and with its derivatives
-_codes: collections.OrderedDict[Hashable, _Codes | NotCovered] = collections.OrderedDict()
+_codes = Recent[_Codes | NotCovered](_KEPT)
 _MOST = 1000  # numbers of a state
 _LONGEST = 5000  # samples in a common period of the sensors
 
@@ -207,18 +206,18 @@ def _covered(mission: Mission, before: Mission, grip: Grip) -> Run:
 
 def _code(run: Run) -> _Codes:
     """The compiled sample of a run. Raises NotCovered."""
-    found = _codes.get(run.code)
-    if found is None:
-        try:
-            step = functools.partial(Step, run.blocks, steps=run.steps, key=run.key_on_disk)
-            found = step(slopes=False), step(slopes=True)
-        except (FfsmError, MemoryError):
-            raise
-        except Exception as error:  # the law may raise anything on symbols
-            found = NotCovered(f"{run.scenario.controller}: {reason_of(error)}")
-        _codes[run.code] = found
-        if len(_codes) > _KEPT:
-            _codes.popitem(last=False)
+    found = _codes.get(run.code) or _codes.keep(run.code, _compiled(run))
     if isinstance(found, NotCovered):
         raise found
     return found
+
+
+def _compiled(run: Run) -> _Codes | NotCovered:
+    """The compiled sample of a run; if it cannot be compiled, why."""
+    step = functools.partial(Step, run.blocks, steps=run.steps, key=run.key_on_disk)
+    try:
+        return step(slopes=False), step(slopes=True)
+    except (FfsmError, MemoryError):
+        raise
+    except Exception as error:  # the law may raise anything on symbols
+        return NotCovered(f"{run.scenario.controller}: {reason_of(error)}")

@@ -103,6 +103,14 @@ class ScenarioBlocks:
         """What a block is made from, with its name and settings."""
         return dataclasses.replace(self._plain, name=name, settings=settings)
 
+    def _factory(self, block: str, parts: Mapping[str, Part]) -> Factory:
+        """What makes a block: of a phase, of a section (``parts``), or of the scenario's choice; a
+        part has its settings.
+        """
+        if block in parts and block not in self._given:
+            return parts[block]
+        return factory_of(block, self._plain.scenario, self._given.get(block))
+
     def _made(self, kind: str) -> dict[str, Sampled | Continuous]:
         """The blocks of a kind in addition to the first one, by name."""
         scenario, found = self._plain.scenario, dict[str, Sampled | Continuous]()
@@ -113,8 +121,7 @@ class ScenarioBlocks:
             if first != kind or not name or block == DISTURBANCE:
                 continue
             choice = choices.get(block, Choice())
-            given = self._given.get(block) or parts.get(block)
-            factory = given or factory_of(block, scenario)
+            factory = self._factory(block, parts)
             setup, place = self.setup(name, choice.settings), f"blocks.{block} '{choice.system}'"
             # of a part, ``flow`` has pure functions in place of a Drake system
             made = call_factory(getattr(factory, "flow", factory), setup, place=place)
@@ -140,16 +147,18 @@ class ScenarioBlocks:
 
     def _supervisor(self) -> Supervisor | None:
         """The supervisor; None: there is none."""
-        own = section_parts(self._plain.scenario).get("supervisor")
-        part = self._given.get("supervisor", own)
+        parts = section_parts(self._plain.scenario)
+        if "supervisor" not in {*parts, *self._given}:
+            return None
+        part = self._factory("supervisor", parts)
         setup = self.setup("supervisor")
         return part.supervisor(setup) if isinstance(part, Supervised) else None
 
     def _reference(self) -> FollowedReference | None:
         """A reference of blocks without inputs; None: the motion."""
-        factory = self._given.get("reference")
-        if factory is None:
+        if "reference" not in self._given:
             return None
+        factory = self._factory("reference", {})
         setup = self.setup("reference")
         made = call_factory(factory, setup, place="blocks.reference")
         if not isinstance(made, Sampled) or made.inputs:

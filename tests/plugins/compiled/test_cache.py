@@ -1,11 +1,15 @@
 """Compiled code on disk: used again, and made again where it is not what was written."""
 
+import os
+import time
+
 import numpy as np
 import pytest
 from compiled_equations import compiled, text_of
 from drawn_trees import drawn_tree
 
 from ffsm_drake.plugins.compiled import compiling
+from ffsm_drake.plugins.compiled.recent import Recent
 from ffsm_drake.plugins.equations.equations import bias
 from ffsm_drake.plugins.equations.tree import Reader
 
@@ -95,3 +99,52 @@ def test_another_tree_or_version_has_another_file(kept, tree, compilations, monk
 def test_a_folder_that_cannot_be_written_does_not_matter(tree, home, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", home)
     assert works(tree)
+
+
+DAY, MOST, LONGEST = 86400.0, 2**30, 90  # documented bounds: bytes, and days
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_files_beyond_the_bounds_are_removed(kept, seed):
+    """Those used longest ago, as soon as one is added. What is used stays."""
+    rng, folder, now = np.random.default_rng(seed), kept.parent, time.time()
+    ages = {kept: 0.99 * LONGEST}  # days
+    for k, age in enumerate(rng.uniform(0.0, 1.3 * LONGEST, 24)):
+        path = folder / f"{k}.o"
+        path.touch()
+        os.truncate(path, int(rng.uniform(0.0, 0.15) * MOST))  # takes no room
+        ages[path] = age
+    other = folder / "notes.txt"
+    other.touch()
+    for path, age in [*ages.items(), (other, 10.0 * LONGEST)]:
+        os.utime(path, times=(now - age * DAY,) * 2)
+    sizes = {path: path.stat().st_size for path in ages}
+    compiled("bias", Reader(drawn_tree(5, 1)).tree)  # used
+    assert time.time() - kept.stat().st_mtime < 60.0
+    assert set(ages) < {*folder.iterdir()}
+    compiled("bias", Reader(drawn_tree(6, 1)).tree)  # added
+    (added,) = {*folder.iterdir()} - {*ages, other}
+    total, expected = added.stat().st_size, {added, other}
+    for path in sorted(ages, key=lambda each: 0.0 if each == kept else ages[each]):
+        total += sizes[path]
+        if total <= MOST and (path == kept or ages[path] < LONGEST):
+            expected.add(path)
+    assert {*folder.iterdir()} == expected
+    assert kept in expected
+    assert len(expected) < 20
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_value_used_longest_ago_is_forgotten(seed):
+    """Against a list of all uses."""
+    rng, uses, values = np.random.default_rng(seed), list[int](), dict[int, float]()
+    most = int(rng.integers(1, 6))
+    recent = Recent[float](most)
+    for value in rng.uniform(1.0, 2.0, 200):
+        key = int(rng.integers(0, 8))
+        last = [*dict.fromkeys(reversed(uses))][:most]  # keys by their last use
+        assert recent.get(key) == (values[key] if key in last else None)
+        if key not in last:
+            assert recent.keep(key, value) == value
+            values[key] = value
+        uses.append(key)

@@ -6,13 +6,17 @@ import numpy as np
 import pytest
 from compared_runs import of_seeds
 
+from ffsm_drake.common.errors import BlockError
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.compiled.called import Laws
 from ffsm_drake.plugins.compiled.case import case_of
 from ffsm_drake.plugins.compiled.engine import _kernel
 from ffsm_drake.plugins.compiled.kernel import LaneState
+from ffsm_drake.plugins.compiled.missions import Lane, advance
 from ffsm_drake.plugins.compiled.plans import plans_of
 from ffsm_drake.plugins.compiled.run import run_of
+from ffsm_drake.runs.engine import NotCovered
+from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.rollout import Leg, Rollout
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
@@ -166,3 +170,38 @@ def test_a_lane_that_leaves_keeps_its_state_before_the_sample():
     (before,) = kernel.leg([run.parameters], [LaneState(run.states)], [run.rows], left)
     for name, values in before.state.cells.items():
         assert np.array_equal(gone.state.cells[name], values), name
+
+
+class Unjudged(Lane):
+    """A run whose phase cannot be judged at its end."""
+
+    def note(self, end, spent):
+        raise BlockError("no judgement")
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("kind", ["sizes", "judgement"])
+def test_an_error_leaves_only_its_lane_to_drake(kind, seed):
+    """With the bits that the others have without it, whatever the number of lanes."""
+    kernel, (run, *_) = compiled("postcapture", [])
+    rng = np.random.default_rng(seed)
+    number = int(rng.integers(2, 2 * kernel.width + 2))
+    runs = [run.carrying(run.scenario.payload.truth) for _ in range(number)]
+    bad = {*rng.choice(number, int(rng.integers(1, number)), replace=False).tolist()}
+    lanes = [Lane(each.mission, each) for each in runs]
+    for index in bad:
+        if kind == "judgement":
+            lanes[index] = Unjudged(runs[index].mission, runs[index])
+        else:
+            runs[index].parameters |= {"law": np.append(runs[index].parameters["law"], 0.0)}
+    alone = Lane(run.mission, run)
+    for group in (lanes, [alone]):
+        advance(group, lambda runs: kernel)
+    for index, lane in enumerate(lanes):
+        assert isinstance(lane.result, NotCovered if index in bad else RunLog)
+        if index in bad:
+            said = "no judgement" if kind == "judgement" else "numbers of law"
+            assert said in str(lane.result)
+            continue
+        for name, values in alone.result.series.items():
+            assert np.array_equal(lane.result.series[name], values, equal_nan=True), name

@@ -127,7 +127,7 @@ class Measured(Part):
 
     def signals(self, setup):
         def shown(run):
-            return self.share * run["force_own"][:, :1]
+            return self.share * run["force_own"][:, 2:3]
 
         about = {"name": "shown", "unit": "N m", "meaning": "share of the torque"}
         return (Signal(**about, components=[f"x{self.share}"], of=shown),)
@@ -152,6 +152,33 @@ def test_runs_with_one_code_have_parts_of_their_own():
         [[lost, f"random_seed={seed}"] for seed in range(4)],
     ):
         check([load_scenario("postcapture", ["duration=0.2", *given]) for given in each])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doubled(Measured):
+    """Another default of its setting."""
+
+    share: float = setting(2.0, "1", "share of the force that is shown")
+
+
+def measured(setup):
+    """A phase with a part, which is not built yet."""
+    return Phase(blocks={"forces.own": Doubled})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [None, 0.5])
+def test_a_part_of_a_phase_is_built_with_its_settings(share):
+    """With those of the scenario's choice, if there is one."""
+    given = [*SHORT, "blocks.phases.own.system=test_own_stages:measured", "duration=7"]
+    given.append("blocks.phases.own.duration=1")
+    if share is not None:
+        choice = f"{{system: 'test_own_stages:Measured', settings: {{share: {share}}}}}"
+        given.append(f"blocks.forces.own={choice}")
+    lane = Lane(timed(make_mission(load_scenario("tumbling_capture", given))))
+    assert lane.plan(), lane.result
+    part = lane.run.case.made.placed["forces.own"].part
+    assert (type(part).__name__, part.share) == ("Doubled", share or 2.0)
 
 
 def pulled(setup):

@@ -14,6 +14,7 @@ from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.campaign.cases import with_controller
 from ffsm_drake.plugins.compiled import engine
 from ffsm_drake.plugins.compiled.noise import noise_of
+from ffsm_drake.plugins.compiled.recent import Recent
 from ffsm_drake.runs.batches import run_many
 from ffsm_drake.runs.rollout import Rollout
 from ffsm_drake.spacecraft.craft import make_nominal_plant
@@ -208,7 +209,7 @@ def test_results_do_not_depend_on_the_number_of_codes(monkeypatch):
     """More codes than are kept: those compiled again need no comparison, which reads all signals
     of a log.
     """
-    monkeypatch.setattr(engine, "_KEPT", 2)
+    monkeypatch.setattr(engine, "_kernels", Recent(2))
     random = np.random.default_rng(0)
     scenarios = [
         load_scenario("postcapture", ["duration=0.05", f"controller={law}", f"random_seed={k}"])
@@ -252,7 +253,7 @@ def test_results_depend_on_no_other_run():
 
 def forget():
     """As a new process."""
-    engine._kernels.clear()
+    engine._kernels = Recent(16)
     engine._judged.clear()
 
 
