@@ -8,7 +8,7 @@ run nearly reaches force limits. Parts of the verdict can disagree, and a line r
 
 import dataclasses
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 from ffsm_drake.common.errors import BlockError, one_line
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.numbers import number, percent
+from ffsm_drake.common.registrations import Registry
 from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.mission import Mission
@@ -47,6 +48,8 @@ from ffsm_drake.scenario import Scenario, checked
 from ffsm_drake.systems.parts.advice import Advice
 
 _ALONE = ", each by itself"  # of remedies that may help without the others
+# What the linear results cover of a mission with barriers, which they leave out.
+LINEAR_REMARKS = Registry[Callable[[Mission], str]]("linear_remarks")
 _RARE = 0.02  # share of noise sequences with divergence that is no alarm
 
 
@@ -91,6 +94,7 @@ class Verdict:
 
     linear: LinearVerdict | None
     not_linear: str  # why there is no linear verdict; empty if there is one
+    barriers: str = ""  # what the linear results cover of them; empty: there are none
     load: float | None  # with a capture: largest force as a fraction of its limit
     noises: Rehearsal | None  # runs with other noise, if the force may saturate
     run: RehearsedRun | None
@@ -150,6 +154,8 @@ class Verdict:
             yield f"linear: {self.linear.sentence}"
         elif self.not_linear:
             yield f"linear: cannot say: {self.not_linear}"
+        if self.barriers:
+            yield f"barriers: {self.barriers}"
         if self.load is not None and math.isfinite(self.load):
             saturates = ", so the force saturates" if self._overloaded else ""
             share = f"{number(100.0 * self.load, 3)} %"
@@ -186,10 +192,11 @@ class Verdict:
     @property
     def conclusion(self) -> str:
         """One line: the expectation and its scope. Only a run predicts how the mission ends."""
+        without = " without barriers" if self.barriers else ""
         covers = [
             name
             for name, part in (
-                ("linear loop of every leg", self._linear_is_known or None),
+                (f"linear loop of every leg{without}", self._linear_is_known or None),
                 ("load after the grasp", self.load),
                 (self.noises.sequences if self.noises else "", self.noises),
                 ("one run with limits and noise", self.run),
@@ -294,6 +301,8 @@ def verdict(
     mission = scenario if isinstance(scenario, Mission) else Mission(checked(scenario))
     found: dict[str, Any] = dict.fromkeys(("linear", "load", "noises", "run"))
     saturated = dict[str, float]()
+    if mission.scenario.command_filter.barriers is not None:
+        found["barriers"] = LINEAR_REMARKS.load("barriers", "command_filter.barriers")(mission)
     try:
         with Linearizer(mission) as linearizer:
             _without_a_run(found, mission, linearizer, margins=margins)
