@@ -4,7 +4,7 @@ PLUGIN = Plugin(
     about="Stability and margins of the sampled loop, the verdict before a run, design of gains",
     page="verdict",
     needs=("actuators", "capture", "estimators", "flexible"),
-    uses=("compiled", "two_arms"),
+    uses=("barriers", "compiled", "two_arms"),
     brings={
         "commands": {
             "design": "design.command:design",
