@@ -288,10 +288,23 @@ def test_a_full_command_can_be_pasted():
 def test_credibility_counts_claims_and_full_commands():
     texts = [page.read_text() for page in PAGES]
     full = [each for text in texts for each in tables.full_commands(text)]
-    said = "of more than 300 claims, more than nine of ten have a full command"
+    said = "of more than 300 rows with a claim, more than nine of ten have a full command"
     assert said in (DOCS / "credibility.md").read_text()
     assert len(full) > 300
     assert sum(full) > 0.9 * len(full)
+
+
+def test_credibility_says_how_much_is_older_than_its_date():
+    dates = [claim.date[:10] for page in PAGES for claim in tables.claims(page.read_text())]
+    text = (DOCS / "credibility.md").read_text()
+    assert "More than half of the rows have a date before 2026-11-29." in text
+    assert sum(date < "2026-11-29" for date in dates) > 0.5 * len(dates)
+
+
+def test_credibility_counts_assumed_figures():
+    rows = [*tables.mass_rows(), *tables.setting_rows()]
+    assumed = sum(row.kind == "assumed" for row in rows)
+    assert f"{assumed} of {len(rows)} rows are assumed" in (DOCS / "credibility.md").read_text()
 
 
 def commands_in(text):
