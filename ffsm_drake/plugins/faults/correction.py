@@ -3,7 +3,8 @@
 import numpy as np
 
 from ffsm_drake.common.so3 import matrix_of, turning_matrix
-from ffsm_drake.plugins.faults.known import CODE, Known, Memory
+from ffsm_drake.plugins.faults.known import CODE, Known
+from ffsm_drake.plugins.faults.memory import Memory
 from ffsm_drake.plugins.faults.sensors import entries_in_state
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, position_error
 
@@ -26,19 +27,22 @@ class Correction(Known):
         self,
         memory: Memory,
         raw: np.ndarray,
-        seen: np.ndarray,
-        expected: np.ndarray,
+        row: np.ndarray,
         new: np.ndarray | None,
         *,
         is_first: bool,
     ) -> None:
-        """Write the measured state, without lost sensors and biases, into ``seen`` of the memory;
-        ``seen`` is the one before.
+        """Write the measured state, without lost sensors and biases, into ``seen`` of the memory.
+
+        Args: also the row of the sample.
         """
         nq, nv, old = self._nq, self._nv, self._old(new)
         if not (old.any() or memory.codes[self._of_sensors].any()):
             memory.seen[:] = raw
             return
+        seen, expected = row[self._in["before"]], np.zeros(nv)
+        if not is_first:
+            expected = self._changes(memory, row[None], memory.samples)[1][0]
         off = self._of_base(matrix_of(seen[:4]), memory.off)
         q, v = moved(raw[:nq], -off[:nv]), raw[nq:] - off[nv:]
         lost = self._lost(memory.codes)

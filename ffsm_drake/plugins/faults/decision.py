@@ -7,7 +7,7 @@ import numpy as np
 
 from ffsm_drake.plugins.actuators.thruster_faults import LEAKING, STUCK_OFF, STUCK_ON, WEAK
 from ffsm_drake.plugins.faults.hypotheses import MARGIN, Vote
-from ffsm_drake.plugins.faults.known import Memory
+from ffsm_drake.plugins.faults.memory import Memory
 
 WHOLE = 0.75  # least share of a complete fault of a thruster
 _EXCLUDED = 1.5 * MARGIN  # squares, summed up over time, that exclude a unit

@@ -20,9 +20,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.faults.force_watch import ForceWatch
-from ffsm_drake.plugins.faults.known import KINDS, REPLACED, Memory, units_of
+from ffsm_drake.plugins.faults.known import EVERY, KINDS, units_of
+from ffsm_drake.plugins.faults.memory import Memory
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.faults import detects
 from ffsm_drake.systems.parts.metrics import Figure, Metric, by_key
@@ -106,9 +106,6 @@ def _turns(run: View) -> dict[str, np.ndarray]:
     return dict(sorted(found.items(), key=lambda item: item[1][0]))
 
 
-_NONE = np.zeros(0)
-
-
 class Detector(ForceWatch, Sampled):
     """Inputs: those of the block; of actuators ``told_force`` (nv), and, where they have them,
     ``gyroscopic_force`` (nv), ``told_units`` and ``wheel_momentum``. Outputs: the block's,
@@ -141,19 +138,19 @@ class Detector(ForceWatch, Sampled):
 
     def start(self, state: np.ndarray | None = None) -> Arrays:
         """See Sampled; before the start the state was measured."""
-        memory = {name: np.zeros(shape) for name, shape in self._shapes.items()}
-        memory["leg"] -= 1.0
+        memory = self._layout.start(len(self.units))
+        memory.leg = -1.0
         if state is not None:
-            memory |= dict.fromkeys(("raw", "seen", "observed"), state)
-        return _flat(memory)
+            memory.raw = memory.seen = memory.observed = state
+        return memory.arrays()
+
+    def remembered(self, memory: Arrays) -> Memory:
+        """A copy of the memory by names."""
+        return Memory(self._layout, memory)
 
     def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
         """See Sampled."""
-        before, after = memory["codes"], Memory()
-        for name, shape in self._shapes.items():
-            values = memory.get(name, _NONE)
-            values = values if name in REPLACED else values.copy()
-            setattr(after, name, values if len(shape) == 1 else values.reshape(shape))
+        before, after = memory["codes"], self.remembered(memory)
         self._look_at(after, inputs)
         outputs = {
             "estimated_state": after.seen.copy(), "fault_detected": before,
@@ -163,49 +160,36 @@ class Detector(ForceWatch, Sampled):
             outputs[IS_NEW] = self._renewed(inputs[IS_NEW], before)
         if self._num_units:
             outputs["isolated"] = self._isolated(before)
-        return outputs, _flat(vars(after))
+        return outputs, after.arrays()
 
     def _look_at(self, memory: Memory, inputs: Arrays) -> None:
         """Bring the memory up to date with a sample; ``seen`` is the state without lost sensors."""
-        raw = inputs["state"]
-        is_first = memory.leg != self._leg
-        seen = memory.seen.copy()
-        force = self._acting(memory, inputs) - self._damping * seen[self._nq :]
+        raw, new, is_first = inputs["state"], inputs.get(IS_NEW), memory.leg != self._leg
         if is_first:
             memory.leg = self._leg
             self._forget(memory)
             self._begin(memory)
             memory.samples = 0.0
-        expected = self._step * self._accelerations(seen, force) * (not is_first)
-        new = inputs.get(IS_NEW)
-        self._correct(memory, raw, seen, expected, new, is_first=is_first)
+        row = memory.rows[int(memory.samples) % EVERY]
+        self._take(memory, row, inputs)
+        self._correct(memory, raw, row, new, is_first=is_first)
         if not is_first:
-            self._look_at_sensors(memory, raw, seen, new)
-        memory.raw[:] = raw
-        if not is_first and self._collect(memory, seen, expected):
+            self._look_at_sensors(memory, raw, row, new)
+        memory.raw = raw
+        if is_first:
+            return
+        memory.samples += 1.0
+        if memory.samples % EVERY == 0.0:
+            self._collect(memory)
             self._look_at_blocks(memory)
 
-    def _acting(self, memory: Memory, inputs: Arrays) -> np.ndarray:
-        """The force (nv) on the plant in the last sample as reported, with measured wheel torques;
-        updates the sums in ``part``.
-        """
-        force = inputs["told_force"].copy()
-        memory.sums[self._at["told"]] += self._step * memory.told
+    def _take(self, memory: Memory, row: np.ndarray, inputs: Arrays) -> None:
+        """Write into the row of a sample what was before, and the reported force."""
+        row[self._in["before"]], row[self._in["told"]] = memory.seen, memory.told
+        row[self._in["momentum"]] = memory.momentum
+        force = inputs["told_force"]
         if self._wheels is not None:
-            force += inputs["gyroscopic_force"]
-            now = inputs["wheel_momentum"]
-            if memory.samples > 1.0:
-                beyond = now - memory.momentum - self._step * memory.told[-now.size :]
-                memory.sums[self._at["beyond"]] += beyond
-                axes = matrix_of(memory.seen[:4]) @ self._wheels.axes
-                force[:3] -= axes @ beyond / self._step
-            memory.momentum = now
+            force = force + inputs["gyroscopic_force"]
+            memory.momentum = inputs["wheel_momentum"]
+        row[self._in["force"]] = force
         memory.told = inputs.get("told_units", memory.told)
-        memory.sums[self._at["impulse"]] += self._step * memory.told[: len(self._force)]
-        return force
-
-
-def _flat(memory: Arrays) -> Arrays:
-    """Vectors, without empty ones."""
-    arrays = ((name, np.asarray(values)) for name, values in memory.items())
-    return {name: values.reshape(-1) for name, values in arrays if values.size}

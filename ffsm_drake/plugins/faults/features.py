@@ -95,31 +95,40 @@ def slopes(
     )  # fmt: skip
 
 
-def fired(sums: np.ndarray, force: np.ndarray, noise: np.ndarray, step: float) -> Means:
+def fired(
+    samples: np.ndarray, span: int, force: np.ndarray, noise: np.ndarray, step: float
+) -> Means:
     """Means weighted by the commanded force of each thruster that fired in ``FIRED`` blocks.
 
     Args:
-      sums: of the samples of each of m blocks (m, n, n + 2 nv + 2): commanded force times the
-        forces of all, unexplained and expected acceleration, and 1; and the square of its change.
+      samples: of each of m blocks, more than the longest window (m, k, n + 2 nv): commanded forces,
+        unexplained and expected acceleration.
+      span: blocks that may be used.
       force: of the thrusters (n), N.
       noise: of a sample of the velocities (nv).
       step: control period, s.
     """
-    count, nv = len(force), noise.size
+    count, nv, each = len(force), noise.size, samples.shape[1]
+    rows, told = samples.reshape(-1, count + 2 * nv), samples[:, :, :count].sum(axis=1)
+    fires, last = rows[:, :count], 0
+    changes, of, rough = np.diff(fires, axis=0) ** 2, np.zeros((count, count + 2 * nv)), 0.0
     parts = list[tuple[np.ndarray, ...]]()
-    for window in (each for each in FIRED if max(each, FIRST) <= len(sums)):
-        of = sums[-window:].sum(axis=0)
-        which = np.flatnonzero(of[:, -2] >= 2.0 * force)
-        total = of[which, -2]
-        back = np.arange(window)[::-1] @ sums[-window:, which, -2] / total
-        rough = np.sqrt(of[which, -1] + 2.0 * force[which] ** 2) / total / step
+    for window in (blocks for blocks in FIRED if max(blocks, FIRST) <= span):
+        part = slice(-window * each, -last * each or None)
+        of, last = of + fires[part].T @ rows[part], window
+        rough = rough + changes[part].sum(axis=0)
+        total = told[-window:].sum(axis=0)
+        which = np.flatnonzero(total >= 2.0 * force)
+        total = total[which]
+        back = np.arange(window)[::-1] @ told[-window:, which] / total
+        spread = np.sqrt(rough[which] + 2.0 * force[which] ** 2) / total / step
         middle = np.round(back + 0.4).astype(int)
-        parts.append((np.full(len(which), window), middle, of[which] / total[:, None], rough))
+        parts.append((np.full(len(which), window), middle, of[which] / total[:, None], spread))
     if not parts:
         none = np.zeros(0, dtype=int)
-        parts.append((none, none, np.zeros((0, count + 2 * nv + 2)), np.zeros(0)))
-    windows, middles, means, roughs = (np.concatenate(each) for each in zip(*parts, strict=True))
-    left, expected = means[:, count : count + nv], means[:, count + nv : count + 2 * nv]
+        parts.append((none, none, np.zeros((0, count + 2 * nv)), np.zeros(0)))
+    windows, middles, means, roughs = (np.concatenate(of) for of in zip(*parts, strict=True))
+    left, expected = means[:, count : count + nv], means[:, count + nv :]
     return Means(
         window=windows, is_slope=np.zeros(len(windows), dtype=bool), middle=middles,
         ago=0 * windows,

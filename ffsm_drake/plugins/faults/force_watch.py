@@ -6,10 +6,11 @@
 import numpy as np
 
 from ffsm_drake.plugins.actuators.wheel_set import WHEEL_STOPS
-from ffsm_drake.plugins.faults.known import EVERY, KEPT, LEARNT, OLD, WINDOWS, Memory
+from ffsm_drake.plugins.faults.known import EVERY, KEPT, LEARNT, OLD, WINDOWS
+from ffsm_drake.plugins.faults.memory import Memory
 from ffsm_drake.plugins.faults.motion_watch import MotionWatch
 from ffsm_drake.plugins.faults.wheel_watch import stopped
-from ffsm_drake.plugins.faults.windows import slope_of
+from ffsm_drake.plugins.faults.windows import slope_weights
 
 
 class ForceWatch(MotionWatch):
@@ -17,30 +18,45 @@ class ForceWatch(MotionWatch):
     essential to the allocation, raises ``abort_request``.
     """
 
-    def _collect(self, memory: Memory, before: np.ndarray, expected: np.ndarray) -> bool:
-        """Sums of what is unexplained, in blocks; whether one ends."""
-        nq, now = self._nq, memory.seen
-        left = now[nq:] - before[nq:] - expected
-        count = memory.samples = memory.samples + 1.0
-        bound = self._settings.threshold * np.sqrt(memory.rough) + memory.reach
-        known = np.clip(left, -bound, bound) if count > LEARNT else left
-        # a velocity that jumps begins a new window of its sensor
-        jumps = float((known != left).any())
-        if jumps and not memory.jumped and memory.blocks >= WINDOWS[0]:
-            memory.blocks = -1.0
-        memory.jumped = jumps
-        memory.rough += (known**2 - memory.rough) / min(count, 4.0 * LEARNT)
-        memory.sums[self._at["left"]] += left
-        memory.sums[self._at["velocity"]] = now[nq:]
-        memory.part += memory.sums / EVERY
-        self._collect_fired(memory, left, expected)
-        is_whole = bool(count % EVERY == 0.0)
-        if is_whole:
-            memory.kept = np.vstack([memory.kept[1:], memory.part])
-            memory.part = np.zeros_like(memory.part)
-            memory.blocks += 1.0
-            self._end_block(memory)
-        return is_whole
+    def _collect(self, memory: Memory) -> None:
+        """Add the samples of a block that ends to what is kept of blocks."""
+        rows, count, nq, step = memory.rows, len(self._force), self._nq, self._step
+        before, told = rows[:, self._in["before"]], rows[:, self._in["told"]]
+        now = np.vstack([before[1:], memory.seen])[:, nq:]
+        fires = np.vstack([told[1:], memory.told])[:, :count]
+        beyond, expected = self._changes(memory, rows, memory.samples - EVERY)
+        left = now - before[:, nq:] - expected
+        self._find_jumps(memory, left)
+        moves = rows[:, self._in["slip"]], rows[:, self._in["moved"]]
+        parts = left, *moves, 0.0 * now, step * fires, step * told[:, count:], beyond
+        sums = np.cumsum(np.vstack([memory.sums, np.hstack(parts)]), axis=0)[1:]
+        sums[:, self._at["velocity"]] = now
+        memory.sums = sums[-1]
+        memory.kept = np.vstack([memory.kept[1:], sums.mean(axis=0)])
+        memory.states = np.vstack([memory.states[1:], memory.seen])
+        if count:
+            samples = np.hstack([fires, left / step, expected / step])
+            memory.fired = np.concatenate([memory.fired[1:], samples[None]])
+            pushes = self._models.pushes(memory.seen)
+            pushed = np.linalg.solve(self._models.mass(memory.seen), pushes)
+            memory.reach = step * np.abs(pushed) @ self._force
+        memory.blocks += 1.0
+        memory.span += 1.0
+        memory.clock += 1.0
+
+    def _find_jumps(self, memory: Memory, left: np.ndarray) -> None:
+        """Find velocities that jump in a block: each begins a new window of its sensor."""
+        rough, count = memory.rough, memory.samples - EVERY
+        for change in left:
+            count += 1.0
+            bound = self._settings.threshold * np.sqrt(rough) + memory.reach
+            jumps = float(count > LEARNT and (np.abs(change) > bound).any())
+            if jumps:
+                change = np.clip(change, -bound, bound)
+                if not memory.jumped and memory.blocks >= WINDOWS[0]:
+                    memory.blocks = -1.0
+            memory.jumped = jumps
+            rough += (change**2 - rough) / min(count, 4.0 * LEARNT)
 
     def _look_at_blocks(self, memory: Memory) -> None:
         """Wheels, velocities, then joints and thrusters, in windows of blocks."""
@@ -49,7 +65,9 @@ class ForceWatch(MotionWatch):
             old = kept[-min(valid, KEPT) :][OLD : 2 * OLD, self._at["slip"]]
             memory.looks += 1.0
             gain = 1.0 / min(memory.looks, 2.0 * LEARNT)
-            memory.slope += gain * (slope_of(old, step)[0] - memory.slope)
+            memory.slope += gain * (
+                slope_weights((len(old),), len(old), step)[0] @ old - memory.slope
+            )
         if self._wheels is not None:
             self._look_at_wheels(memory, valid)
         # an unpredictable motion allows no further detection
@@ -57,16 +75,15 @@ class ForceWatch(MotionWatch):
             return
         slips = self._slips(memory)
         if memory.looks >= OLD:
-            for window, off, deviation in zip(WINDOWS, *slips, strict=True):
-                if window <= valid:
-                    self._look_at_velocities(memory, off, deviation)
+            count = sum(window <= valid for window in WINDOWS)
+            self._look_at_velocities(memory, *(of[:count] for of in slips))
         if self._sees_forces:
             self._look_at_forces(memory, slips)
 
     def _look_at_wheels(self, memory: Memory, valid: int) -> None:
         """Report stopped wheels."""
         assert self._wheels is not None
-        windows = (each for each in (EVERY, *WINDOWS) if each < valid)
+        windows = [each for each in (EVERY, *WINDOWS) if each < valid]
         blocks = memory.kept[:, -2 * len(self._wheels.names) :]
         for name in stopped(blocks, windows, self._wheels):
             self._notice(memory, f"wheels.{name}", WHEEL_STOPS.name)

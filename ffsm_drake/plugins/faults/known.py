@@ -1,11 +1,11 @@
-"""What fault detection knows beforehand: units, sensors and models. What it remembers."""
+"""What fault detection knows beforehand: units, sensors and models."""
 
 import itertools
-from types import SimpleNamespace
 
 import numpy as np
 from pydrake.multibody.tree import Frame
 
+from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.actuators.base import LOST, STUCK_ON
 from ffsm_drake.plugins.actuators.plume import allocated
 from ffsm_drake.plugins.actuators.row import make_base_actuators
@@ -16,6 +16,7 @@ from ffsm_drake.plugins.faults import payload_error
 from ffsm_drake.plugins.faults.bounds import Bounds
 from ffsm_drake.plugins.faults.features import WINDOWS as FORCE_WINDOWS
 from ffsm_drake.plugins.faults.jam import JAMMED
+from ffsm_drake.plugins.faults.memory import Layout, Memory
 from ffsm_drake.plugins.faults.models import Models
 from ffsm_drake.plugins.faults.panels import AGO, SIZE, SPANS
 from ffsm_drake.plugins.faults.sensors import (
@@ -40,7 +41,6 @@ CODE = {kind: float(code) for code, kind in enumerate(KINDS)}
 EVERY, KEPT, OLD = 5, 61, 20
 WINDOWS = (8, 24, 60)  # blocks of sensors and wheels
 SPAN = 65  # blocks that are kept
-REPLACED = ("kept", "states", "fired")  # in the memory; never changed in place
 LEARNT = 50  # samples, or blocks, after which a variance is known
 _BANDWIDTH = {"base_rotation": 8.0, "base_position": 2.0, "joints": 10.0}  # rad/s
 
@@ -54,27 +54,6 @@ def units_of(scenario: Scenario, coordinates: Coordinates) -> list[str]:
         *(f"joints.{name}" for name in coordinates.joints),
         *(f"sensing.{name}" for name in sensors_of(coordinates)),
     ]
-
-
-class Memory(SimpleNamespace):
-    """What the detector remembers from sample to sample; methods change it in place.
-
-    Of each thruster, wheel, joint and sensor: the ``codes`` found. Of sensors: ``raw`` and ``seen``
-    state, before and after corrections; biases ``off``, base's axes; for how many samples each is
-    ``stale``, and how often it ``repeats`` its bits; slips ``since`` then, and their mean square
-    ``jitter``; ``observed`` state and ``acceleration`` in place of lost velocities; the usual
-    ``slope`` of slips, after so many ``looks``; whether the last sample ``jumped``, and whether a
-    velocity ``was_off``. Of forces, ``kept`` blocks of ``sums``, the last ``part`` of one, and how
-    many ``blocks`` form a window of sensors, or a ``span`` of forces, in blocks of the ``clock``;
-    ``fired`` blocks of ``firing`` sums, weighted by forces, which were ``fires`` a sample before;
-    ``states`` at ends of blocks; ``rough``: mean square of unexplained changes; ``reach``:
-    largest changes by thrusters; ``grown``
-    forces of flexible parts, for ``grows`` blocks; ``errors`` of the payload that explained blocks.
-    Of decisions: squares ``against`` each unit, when windows ``voted`` last, the unit that
-    ``agreed``, units that are ``doubted``, and for how many blocks there were ``tries``. ``told``
-    force of units and ``momentum`` of wheels. Samples of this ``leg``, which the payload's mass
-    tells.
-    """
 
 
 class Known:
@@ -157,32 +136,30 @@ class Known:
         self._num_units = 0 if base is None else len(base.units)
         self._num_wheels = self._num_units - len(self._force)
         # columns of a block: unexplained velocities, slips, motions, velocities, impulses of
-        # thrusters, commanded impulses as wheels see them, momenta that wheels did not take
-        count = len(self._force)
+        # thrusters, commanded impulses of wheels, momenta that wheels did not take
+        count, wheels = len(self._force), self._num_wheels
         widths = {"left": nv, "slip": nv, "moved": nv, "velocity": nv, "impulse": count}
-        widths |= {"told": self._num_units, "beyond": self._num_wheels}
-        ends = np.cumsum([0, *widths.values()]).tolist()
-        self._at = {
-            name: slice(*pair) for name, pair in zip(widths, itertools.pairwise(ends), strict=True)
-        }
-        of_sensors = ("leg", "samples", "blocks", "looks", "abort_request", "jumped")
-        of_forces = ("span", "clock", "tries", "was_off")
-        firing, units = count * (count + 2 * nv + 2), len(self._joints) + count
+        self._at = _columns(widths | {"told": wheels, "beyond": wheels})
+        # columns of a sample: state, commands and momenta of the sample before; then force and
+        # motion since then
+        widths = {"before": size, "told": self._num_units, "momentum": wheels, "force": nv}
+        self._in = _columns(widths | {"slip": nv, "moved": nv})
+        width, units = self._at["beyond"].stop, len(self._joints) + count
         rows = 2 * len(FORCE_WINDOWS) + 1
-        self._shapes: dict[str, tuple[int, ...]] = {
-            **dict.fromkeys((*of_sensors, *of_forces), ()),
+        shapes: dict[str, tuple[int, ...]] = {
             **dict.fromkeys(("raw", "seen", "stale", "observed"), (size,)),
             **dict.fromkeys(("off", "since"), (2 * nv,)),
             **dict.fromkeys(("jitter", "rough", "slope", "acceleration", "reach"), (nv,)),
-            **dict.fromkeys(("sums", "part"), (ends[-1],)),
-            "codes": (len(self.units),), "repeats": (len(self._sensors),),
-            "told": (self._num_units,), "momentum": (self._num_wheels,), "kept": (SPAN, ends[-1]),
-            "states": (SPAN, size), "firing": (firing,), "fired": (SPAN, firing),
-            "fires": (count,), "against": (rows, units), "voted": (rows,), "agreed": (3,),
+            "sums": (width,), "rows": (EVERY, self._in["moved"].stop),
+            "repeats": (len(self._sensors),), "told": (self._num_units,), "momentum": (wheels,),
+            "kept": (SPAN, width), "states": (SPAN, size),
+            "fired": (SPAN * bool(count), EVERY, count + 2 * nv),
+            "against": (rows, units), "voted": (rows,), "agreed": (3,),
             "doubted": (2 + units,), "errors": (2, payload_error.NUM_ERRORS),
             "grows": (len(SPANS) * self._is_flexible,),
             "grown": ((AGO + 1) * self._is_flexible, len(SPANS), SIZE),
         }  # fmt: skip
+        self._layout = Layout(shapes)
 
     def _unit(self, sensor: str) -> int:
         return self.units.index(f"sensing.{sensor}")
@@ -196,14 +173,35 @@ class Known:
             told[codes[: told.size] == CODE["leaking"]] = 0.0
         return told
 
-    def _accelerations(self, state: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Accelerations (nv) under a generalized force (nv)."""
-        q, v = np.split(state, [self._nq])
-        force = force - self._model.calc_bias(q, v)
-        found: np.ndarray = np.linalg.solve(self._model.calc_mass_matrix(q), force)
-        return found
+    def _changes(
+        self, memory: Memory, rows: np.ndarray, samples: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Momenta that wheels did not take (m, wheels), and changes of velocity that the reported
+        forces, with measured wheel torques, explain (m, nv).
+
+        Args: memory; its last m rows; how many samples of the leg were before.
+        """
+        before, force = rows[:, self._in["before"]], rows[:, self._in["force"]]
+        force = force - self._damping * before[:, self._nq :]
+        beyond = np.zeros((len(rows), self._num_wheels))
+        if self._wheels is not None:
+            momentum, told = rows[:, self._in["momentum"]], rows[:, self._in["told"]]
+            beyond = np.vstack([momentum[1:], memory.momentum]) - momentum
+            beyond -= self._step * told[:, -self._num_wheels :]
+            beyond[: max(2 - int(samples), 0)] = 0.0
+            axes = matrix_of(before[:, :4]) @ self._wheels.axes
+            force[:, :3] -= (axes @ beyond[..., None])[..., 0] / self._step
+        force -= [self._model.calc_bias(*np.split(state, [self._nq])) for state in before]
+        mass = np.array([self._models.mass(state) for state in before])
+        return beyond, self._step * np.linalg.solve(mass, force[..., None])[..., 0]
 
     @staticmethod
     def _forget(memory: Memory) -> None:
         """Begin all windows with the next block."""
         memory.blocks, memory.span = -1.0, -1.0
+
+
+def _columns(widths: dict[str, int]) -> dict[str, slice]:
+    """Slices of parts that follow one another."""
+    ends = itertools.pairwise(itertools.accumulate(widths.values(), initial=0))
+    return {name: slice(*pair) for name, pair in zip(widths, ends, strict=True)}

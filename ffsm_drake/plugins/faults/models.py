@@ -27,6 +27,7 @@ class Models:
         self._model, self._bounds = model, bounds
         self._wrenches, self._payload = wrenches, payload
         self._kept = dict[bytes, np.ndarray]()
+        self._last = b"", np.zeros(0)
 
     def at(self, states: np.ndarray) -> tuple[np.ndarray, ...]:
         """Mass matrices (m, nv, nv), their inverses, bounds of forces (m, nv), generalized forces
@@ -42,17 +43,27 @@ class Models:
         of_thrusters = pushes.reshape(count, nv, self._wrenches.shape[1])
         return mass.reshape(square), inverse.reshape(square), bound, of_thrusters, payload
 
+    def mass(self, state: np.ndarray) -> np.ndarray:
+        """Mass matrix (nv, nv) in a state; the last one is kept."""
+        key = state.tobytes()
+        if key != self._last[0]:
+            q = state[: -len(self._model.coordinates.names)]
+            self._last = key, np.array(self._model.calc_mass_matrix(q))
+        return self._last[1]
+
+    def pushes(self, state: np.ndarray) -> np.ndarray:
+        """Generalized forces (nv, n) of unit forces of thrusters in a state."""
+        found = np.zeros((len(self._model.coordinates.names), self._wrenches.shape[1]))
+        pairs = self._wrenches.reshape(2, 3, -1)
+        found[:6] = (matrix_of(state[:4]) @ pairs).reshape(6, -1)
+        return found
+
     def _row(self, state: np.ndarray) -> np.ndarray:
         """``at`` of one state, in a row."""
         key = state.tobytes()
         row = self._kept.get(key)
         if row is None:
-            mass = np.array(
-                self._model.calc_mass_matrix(state[: -len(self._model.coordinates.names)])
-            )
-            pushes = np.zeros((len(mass), self._wrenches.shape[1]))
-            pairs = self._wrenches.reshape(2, 3, -1)
-            pushes[:6] = (matrix_of(state[:4]) @ pairs).reshape(6, -1)
+            mass, pushes = self.mass(state), self.pushes(state)
             payload = np.zeros(0)
             if self._payload is not None:
                 payload = place(self._model, *self._payload, state)

@@ -20,8 +20,9 @@ from ffsm_drake.plugins.faults.features import (
 )
 from ffsm_drake.plugins.faults.hypotheses import ALARM, Hypotheses, Vote, vote, vote_of_chain
 from ffsm_drake.plugins.faults.jam import JAMMED
-from ffsm_drake.plugins.faults.known import CODE, EVERY, SPAN, SUSPECTED, Memory
+from ffsm_drake.plugins.faults.known import CODE, EVERY, SPAN, SUSPECTED
 from ffsm_drake.plugins.faults.known import WINDOWS as SENSOR_WINDOWS
+from ffsm_drake.plugins.faults.memory import Memory
 from ffsm_drake.plugins.faults.panels import SIZE as PANELS
 from ffsm_drake.plugins.faults.panels import SPANS, PanelBound
 from ffsm_drake.plugins.faults.sensor_watch import SLOPE, SensorWatch, Slips
@@ -36,27 +37,6 @@ _OFF = SENSOR_WINDOWS[:2]  # blocks of velocities that must agree with their pos
 
 class MotionWatch(SensorWatch):
     """A fault of a joint or thruster is reported once all windows agree on it."""
-
-    def _collect_fired(self, memory: Memory, left: np.ndarray, expected: np.ndarray) -> None:
-        """Add a sample to the sums weighted by the commanded forces."""
-        count = len(self._force)
-        if not count:
-            return
-        told, before = memory.told[:count], memory.fires
-        seen = np.concatenate([told, left / self._step, expected / self._step, [1.0]])
-        changes = (told - before) ** 2
-        memory.firing += np.column_stack([np.outer(told, seen), changes]).ravel()
-        memory.fires = told.copy()
-
-    def _end_block(self, memory: Memory) -> None:
-        """Keep the sums and the model's matrices of a block."""
-        memory.fired = np.vstack([memory.fired[1:], memory.firing])
-        memory.firing = np.zeros_like(memory.firing)
-        memory.span += 1.0
-        memory.clock += 1.0
-        memory.states = np.vstack([memory.states[1:], memory.seen])
-        _, inverse, _, pushes, _ = self._models.at(memory.states[-1:])
-        memory.reach = self._step * np.abs(inverse[0] @ pushes[0]) @ self._force
 
     def _look_at_forces(self, memory: Memory, slips: Slips) -> None:
         """Report a fault that the last blocks show; without evidence, each second block looks."""
@@ -103,9 +83,8 @@ class MotionWatch(SensorWatch):
         windows = np.array([each for each in WINDOWS if max(each, features.FIRST) <= span])
         found, count = [self._slopes(memory, windows, 0 * windows)], len(self._force)
         if count:
-            sums = memory.fired[-span:].reshape(span, count, -1)
             noise = np.maximum(self._velocity_noise, _NOISE)
-            found.append(features.fired(sums, self._force, noise, self._step))
+            found.append(features.fired(memory.fired, span, self._force, noise, self._step))
         return features.joined(found)
 
     def _places(self, memory: Memory, means: Means, panels: PanelBound | None) -> Places:

@@ -4,7 +4,8 @@ import numpy as np
 
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.faults.correction import Correction, moved
-from ffsm_drake.plugins.faults.known import CODE, EVERY, LEARNT, OLD, WINDOWS, Memory
+from ffsm_drake.plugins.faults.known import CODE, EVERY, LEARNT, OLD, WINDOWS
+from ffsm_drake.plugins.faults.memory import Memory
 from ffsm_drake.plugins.faults.sensors import entries_in_state
 from ffsm_drake.plugins.faults.windows import slope_weights, times_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, position_error
@@ -21,20 +22,33 @@ class SensorWatch(Correction):
     """
 
     def _look_at_sensors(
-        self, memory: Memory, raw: np.ndarray, before: np.ndarray, new: np.ndarray | None
+        self, memory: Memory, raw: np.ndarray, row: np.ndarray, new: np.ndarray | None
     ) -> None:
         """Detect silent, frozen or jumping sensors, and those that work again."""
-        nq, now = self._nq, memory.seen
+        nq, now, before = self._nq, memory.seen, row[self._in["before"]]
         change = position_error(now[:nq], before[:nq])
         slip = change - 0.5 * self._step * (now[nq:] + before[nq:])
-        memory.since += np.tile(slip, 2)
-        memory.stale[:] = 0.0 if new is None else np.where(new > 0.0, 0.0, memory.stale + 1.0)
-        same = np.logical_and.reduceat(raw == memory.raw, self._columns)
-        codes, lost = memory.codes[self._of_sensors], self._lost(memory.codes)
-        works = codes == 0.0
+        if new is not None:
+            memory.stale = np.where(new > 0.0, 0.0, memory.stale + 1.0)
+        self._examine(memory, raw, slip)
+        gain = 1.0 / min(memory.samples + 1.0, 4.0 * LEARNT)
+        memory.jitter += gain * (slip**2 - memory.jitter)
+        row[self._in["slip"]], row[self._in["moved"]] = slip, change
+
+    def _examine(self, memory: Memory, raw: np.ndarray, slip: np.ndarray) -> None:
+        """Examine each sensor; the slip of one that does not work is zero."""
+        codes, equal = memory.codes[self._of_sensors], raw == memory.raw
+        jumps = self._jumps(memory, slip)
+        if not (equal.any() or jumps.any() or memory.stale.any() or codes.any()):
+            memory.since = memory.repeats = 0.0
+            return
+        memory.since += np.concatenate([slip, slip])
+        same, works = np.logical_and.reduceat(equal, self._columns), codes == 0.0
         memory.repeats[works] = np.where(same, memory.repeats + 1.0, 0.0)[works]
         memory.since[np.repeat(works & ~same, self._widths)] = 0.0
-        silent, frozen, jumps = self._suspects(memory, slip, lost)
+        # silent for too long; repeating bits, by rounding or at rest perhaps
+        silent = np.minimum.reduceat(memory.stale, self._columns) > self._least_patience
+        frozen = self._is_exact & (memory.repeats >= _REPEATED)
         for index in np.flatnonzero(~works | silent | frozen | (jumps & ~same)).tolist():
             name, entries = self._sensor_names[index], self._sensor_entries[index]
             if not works[index]:
@@ -52,28 +66,23 @@ class SensorWatch(Correction):
             else:
                 self._take_off(memory, entries, slip)
                 self._lose(memory, name, "biased")
-        gain = 1.0 / min(memory.samples + 1.0, 4.0 * LEARNT)
-        memory.jitter += gain * (slip**2 - memory.jitter)
-        memory.sums[self._at["slip"]] += slip
-        memory.sums[self._at["moved"]] += change
 
-    def _suspects(
-        self, memory: Memory, slip: np.ndarray, lost: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Masks of sensors: silent for too long; repeating bits, by rounding or at rest perhaps;
-        and positions that jump by more than their velocities, if those are not lost, explain.
+    def _jumps(self, memory: Memory, slip: np.ndarray) -> np.ndarray:
+        """Mask of sensors: positions that jump by more than their velocities, if those are not
+        lost, explain.
         """
-        silent = np.minimum.reduceat(memory.stale, self._columns) > self._least_patience
-        frozen = self._is_exact & (memory.repeats >= _REPEATED)
-        count, starts = len(self._widths) // 2, self._entries[: len(self._widths) // 2]
-        square, share = slip**2, slip**2 / (memory.jitter + 1e-30)
-        is_clear = np.add.reduceat(share, starts) > (self._settings.threshold + 1.0) ** 2
-        is_clear &= np.add.reduceat(square, starts) > _JUMP**2
-        is_clear &= self._are_prompt[:count]
-        is_clear &= ~np.logical_or.reduceat(lost[self._nv :], starts)
-        jumps = np.zeros(2 * count, dtype=bool)
-        jumps[:count] = is_clear & (memory.samples >= LEARNT)
-        return silent, frozen, jumps
+        count, square = len(self._widths) // 2, slip**2
+        jumps, starts = np.zeros(2 * count, dtype=bool), self._entries[:count]
+        if memory.samples < LEARNT:
+            return jumps
+        share = np.add.reduceat(square / (memory.jitter + 1e-30), starts)
+        is_clear = share > (self._settings.threshold + 1.0) ** 2
+        if is_clear.any():
+            is_clear &= np.add.reduceat(square, starts) > _JUMP**2
+            lost = self._lost(memory.codes)[self._nv :]
+            is_clear &= self._are_prompt[:count] & ~np.logical_or.reduceat(lost, starts)
+            jumps[:count] = is_clear
+        return jumps
 
     def _is_at_rest(self, memory: Memory, index: int, entries: np.ndarray) -> bool:
         """Whether a sensor that repeats its bits is of a jammed joint, or the other sensor of its
@@ -160,26 +169,25 @@ class SensorWatch(Correction):
     def _look_at_velocities(self, memory: Memory, off: np.ndarray, deviation: np.ndarray) -> None:
         """Detect velocities that differ from the slope of their position.
 
-        Args: a window's ``_slips`` (nv each).
+        Args: ``_slips`` of windows (w, nv each).
         """
-        if not (np.abs(off) > SLOPE / np.sqrt(3.0)).any():
+        nv, count = self._nv, len(self._widths) // 2
+        starts, are_prompt = self._entries[:count], self._are_prompt.reshape(2, count).all(axis=0)
+        is_off = np.add.reduceat(off**2, starts, axis=1) > SLOPE**2
+        if not is_off.any():
             return
-        nv, codes = self._nv, memory.codes
-        for name, entries in self._sensors.items():
-            at, code = entries - nv, codes[self._unit(name)]
-            if at[0] < 0 or codes[self._unit(name.removesuffix("_velocity"))]:
-                continue
-            if not (self._is_prompt[entries].all() and self._is_prompt[at].all()):
-                continue
-            size = np.linalg.norm(off[at] / deviation[at])
-            if np.linalg.norm(off[at]) <= SLOPE or size <= self._settings.threshold + 1.0:
-                continue
+        share = np.add.reduceat((off / deviation) ** 2, starts, axis=1)
+        is_off &= share > (self._settings.threshold + 1.0) ** 2
+        is_off &= are_prompt & (memory.codes[self._of_sensors[:count]] == 0.0)
+        for window, which in np.argwhere(is_off).tolist():
+            name, entries = self._sensor_names[count + which], self._sensor_entries[count + which]
+            at, code = entries - nv, memory.codes[self._of_sensors[count + which]]
             if not code:
                 found = np.zeros(2 * nv)
-                found[entries] = off[at]
+                found[entries] = off[window, at]
                 memory.off -= self._of_base(matrix_of(memory.seen[:4]).T, found)
                 self._lose(memory, name, "biased")
-            elif code == CODE["biased"] and self._ends_bias(memory, entries, off[at]):
+            elif code == CODE["biased"] and self._ends_bias(memory, entries, off[window, at]):
                 self._read_again(memory, name, memory.raw)
 
 

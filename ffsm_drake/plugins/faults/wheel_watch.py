@@ -1,6 +1,6 @@
 """Faults of wheels: a momentum that does not follow the commanded torque."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from ffsm_drake.plugins.actuators.wheel_set import WheelSet
 _SPEED, _SHARE = 0.2, 0.3  # rad/s and share of the commanded impulse: tolerance of a wheel
 
 
-def stopped(blocks: np.ndarray, windows: Iterable[int], wheels: WheelSet) -> Iterator[str]:
+def stopped(blocks: np.ndarray, windows: Sequence[int], wheels: WheelSet) -> Iterator[str]:
     """Names of wheels that have stopped.
 
     Args:
@@ -18,7 +18,7 @@ def stopped(blocks: np.ndarray, windows: Iterable[int], wheels: WheelSet) -> Ite
       windows: numbers of blocks over which the sums are compared.
       wheels: the wheels (n).
     """
-    for window in windows:
-        told, beyond = np.abs(blocks[-1] - blocks[-1 - window]).reshape(2, -1)
-        for index in np.flatnonzero(beyond > _SHARE * told + _SPEED * wheels.inertia):
-            yield wheels.names[index]
+    ago = -1 - np.array(windows, dtype=int)
+    told, beyond = np.split(np.abs(blocks[-1] - blocks[ago]), 2, axis=1)
+    are_off = (beyond > _SHARE * told + _SPEED * wheels.inertia).any(axis=0)
+    return (wheels.names[index] for index in np.flatnonzero(are_off))
