@@ -20,9 +20,9 @@ from fault_records import read, stepped
 from ffsm_drake.plugins.faults.box_squares import least_squares
 from ffsm_drake.plugins.faults.detection import Detector
 from ffsm_drake.plugins.faults.known import EVERY, SPAN
+from ffsm_drake.plugins.faults.memory import Memory
 from ffsm_drake.plugins.faults.panels import PanelBound
 from ffsm_drake.plugins.faults.payload_error import NUM_ERRORS, force_by_errors
-from ffsm_drake.systems.sampled import Arrays
 
 SMOOTH = 4  # blocks on each side of an acceleration
 EARLIER, LATER = 0.4, 0.6  # shares of the block before and of its own in a change of block means
@@ -76,10 +76,11 @@ def fed_blocks(kept: dict[str, Any], first: float, last: float) -> dict[str, np.
     """What detection keeps of the blocks (m, ...) that end between two times, s."""
     rows, states, panels = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
     detector = None
-    for detector, memory, now in stepped(kept):
-        if first < now < last and memory["samples"][0] % EVERY == 0.0:
-            rows.append(memory["kept"].reshape(SPAN, -1)[-1])
-            states.append(memory["states"].reshape(SPAN, -1)[-1])
+    for detector, arrays, now in stepped(kept):
+        memory = detector.remembered(arrays)
+        if first < now < last and memory.samples % EVERY == 0.0:
+            rows.append(memory.kept[-1])
+            states.append(memory.states[-1])
             panels.append(_of_panels(detector, memory))
     assert detector is not None
     at = detector._at
@@ -96,12 +97,11 @@ def fed_blocks(kept: dict[str, Any], first: float, last: float) -> dict[str, np.
     }
 
 
-def _of_panels(detector: Detector, memory: Arrays) -> np.ndarray:
+def _of_panels(detector: Detector, memory: Memory) -> np.ndarray:
     """The largest force (6) of flexible parts that detection allows."""
     if not detector._is_flexible:
         return np.zeros(6)
-    grown = memory["grown"].reshape(detector._shapes["grown"])
-    return PanelBound(grown, memory["grows"]).of(SPAN - 1, is_slope=True)
+    return PanelBound(memory.grown, memory.grows).of(SPAN - 1, is_slope=True)
 
 
 def _summed(columns: np.ndarray, step: float) -> np.ndarray:

@@ -4,6 +4,7 @@ import numpy as np
 
 _STEPS, _GAP = 40, 0.5  # steps at most; largest excess of half a sum of squares
 _BACK, _CENTRED, _LEAST = 0.95, 0.1, 1e-4  # share of the way to a bound; of the barrier
+_DAMPED = 16.0  # weight of the unknowns' squares in the first guess
 
 
 def least_squares(
@@ -23,15 +24,21 @@ def least_squares(
       values: y (n, k).
       low: (n, m).
       high: (n, m), above ``low``.
-      enough: a problem with at most these squares is not improved further.
+      enough: a problem with at most these squares is not improved further. Above zero, damped
+        least squares, cut at the bounds, are tried first, since they are often enough.
     """
     centre, scale = 0.5 * (high + low), 0.5 * (high - low)
     left = values - np.einsum("nij,nj->ni", matrix, centre)
     scaled = matrix * scale[:, None]
-    found, squares = np.zeros_like(centre), np.zeros(len(values))
+    found, squares, live = np.zeros_like(centre), np.zeros(len(values)), np.arange(len(values))
+    if enough > 0.0:
+        found = _damped(scaled, left)
+        squares = ((left - np.einsum("nij,nj->ni", scaled, found)) ** 2).sum(axis=1)
+        live = np.flatnonzero(squares > enough)
+        left, scaled = left[live], scaled[live]
     first = np.maximum((left**2).sum(axis=1), 1.0)[:, None] / max(centre.shape[1], 1)
-    live, x = np.arange(len(values)), np.zeros_like(centre)
-    up, down = np.repeat(first, centre.shape[1], axis=1), np.repeat(first, centre.shape[1], axis=1)
+    x, up = np.zeros_like(centre[live]), np.repeat(first, centre.shape[1], axis=1)
+    down = up.copy()
     for step in range(_STEPS + 1):
         rooms = 1.0 + x, 1.0 - x
         gap = (rooms[0] * up + rooms[1] * down).sum(axis=1)
@@ -42,12 +49,20 @@ def least_squares(
             live, x, left, up, down, scaled, gap = (
                 each[goes] for each in (live, x, left, up, down, scaled, gap)
             )
-            if not live.size:
-                break
+        if not live.size:
+            break
         change, up, down = _advanced(scaled, left, x, up, down, gap)
         x = x + change
         left = left - np.einsum("nij,nj->ni", scaled, change)
     return squares, centre + scale * found
+
+
+def _damped(matrix: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """Unknowns within +-1 that make |y - A x|^2 small."""
+    across = matrix.swapaxes(1, 2)
+    system = matrix @ across + _DAMPED * np.eye(matrix.shape[1])
+    found: np.ndarray = (across @ np.linalg.solve(system, left[..., None]))[..., 0]
+    return np.clip(found, -1.0, 1.0)
 
 
 def _advanced(
@@ -69,13 +84,13 @@ def _advanced(
     change = pull / weight - np.einsum("nij,ni->nj", by_weight, along)
     of_up = (barrier - up * change) / over - up
     of_down = (barrier + down * change) / under - down
-    primal = np.minimum(_room(over, change), _room(under, -change)).min(axis=1, keepdims=True)
-    dual = np.minimum(_room(up, of_up), _room(down, of_down)).min(axis=1, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        primal = np.minimum(_room(over, change), _room(under, -change)).min(axis=1, keepdims=True)
+        dual = np.minimum(_room(up, of_up), _room(down, of_down)).min(axis=1, keepdims=True)
     primal, dual = np.minimum(1.0, _BACK * primal), np.minimum(1.0, _BACK * dual)
     return primal * change, up + dual * of_up, down + dual * of_down
 
 
 def _room(value: np.ndarray, change: np.ndarray) -> np.ndarray:
     """How many changes a positive value stays positive."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(change < 0.0, -value / change, np.inf)
+    return np.where(change < 0.0, -value / change, np.inf)

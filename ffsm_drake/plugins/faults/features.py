@@ -39,21 +39,9 @@ class Features:
     matrix: np.ndarray  # A (F, nv, nv + 10, or nv without a payload), of d and p in their bounds
     low: np.ndarray  # (F, nv + 10)
     high: np.ndarray  # (F, nv + 10)
-    forces: np.ndarray  # (F, nv, nv) inverse of A's part of d
     white: np.ndarray  # W (F, nv, nv)
     pushes: np.ndarray  # (F, nv, n) generalized force of a unit force of each thruster
     told: np.ndarray  # (F, n) mean commanded force of each thruster, N
-
-    def at_most(self, errors: np.ndarray) -> np.ndarray:
-        """Sums of squares (F, k) that normal causes leave at most, with each of k payloads.
-
-        Args: their errors (10, k), as shares of half their intervals; without a payload, (0, k).
-        """
-        nv = self.y.shape[1]
-        share = self.forces @ (self.y[:, :, None] - self.matrix[:, :, nv:] @ errors)
-        beyond = self.matrix[:, :, :nv] @ (share - np.clip(share, -1.0, 1.0))
-        squares: np.ndarray = (beyond**2).sum(axis=1)
-        return squares
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -141,8 +129,7 @@ def fired(
 class Places:
     """What each feature's middle tells (F, ...)."""
 
-    mass: np.ndarray  # (F, nv, nv)
-    inverse: np.ndarray  # of it
+    inverse: np.ndarray  # (F, nv, nv) of the mass matrix
     bound: np.ndarray  # (F, nv) of normal forces
     velocity: np.ndarray  # (F, nv)
     payload: np.ndarray  # (F, 6 nv + 6) as ``payload_error.place``; (F, 0) without a payload
@@ -177,8 +164,7 @@ def whitened(
     return Features(
         window=means.window, is_slope=means.is_slope, is_free=is_free,
         y=means.unexplained / deviation, matrix=matrix, low=low, high=high,
-        forces=at.mass * deviation[:, None] / bound[:, :, None], white=white,
-        pushes=at.pushes, told=means.told,
+        white=white, pushes=at.pushes, told=means.told,
     )  # fmt: skip
 
 

@@ -86,10 +86,10 @@ class Hypotheses:
         return matrix, low, high
 
     def squares(
-        self, of: Features, force: np.ndarray, *, is_chain: bool = False
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The least squares (h) that each leaves, its first unknown, a force or a share (h), and
-        errors of the payload (h, 10).
+        self, of: Features, force: np.ndarray, *, is_chain: bool = False, enough: float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The least squares (h) that each leaves, or at most ``enough``, and its first unknown, a
+        force or a share (h).
         """
         count, nv = of.y.shape
         own = of.matrix.shape[2] - nv
@@ -108,8 +108,9 @@ class Hypotheses:
             np.broadcast_to(of.y.reshape(1, -1), (size, count * nv)),
             np.hstack([np.broadcast_to(low, (size, wide)), lowest]),
             np.hstack([np.broadcast_to(high, (size, wide)), highest]),
+            enough,
         )
-        return found, unknowns[:, wide], unknowns[:, count * nv : wide]
+        return found, unknowns[:, wide]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -137,7 +138,7 @@ def vote(of: Features, squares: np.ndarray, force: np.ndarray, among: Hypotheses
         return None
     slope = np.flatnonzero(of.is_slope)
     stack = rows_of(of, np.concatenate([order, slope[~np.isin(slope, order)]]))
-    left, _, _ = among.squares(rows_of(of, order[:1]), force)
+    left, _ = among.squares(rows_of(of, order[:1]), force)
     if left[1:].min(initial=np.inf) > max(_MOST * np.sqrt(len(stack.y)), _REST * squares.sum()):
         return None
     left = left.copy()
@@ -145,7 +146,7 @@ def vote(of: Features, squares: np.ndarray, force: np.ndarray, among: Hypotheses
     share = np.zeros(len(left))
     which = np.array([0, 1 + int(left[1:].argmin())])
     while which.size:
-        left[which], share[which], _ = among.of_places(which).squares(stack, force)
+        left[which], share[which] = among.of_places(which).squares(stack, force)
         known[which] = True
         best = 1 + int(np.where(known, left, np.inf)[1:].argmin())
         room = MARGIN + RELATIVE * left[0]
@@ -155,7 +156,7 @@ def vote(of: Features, squares: np.ndarray, force: np.ndarray, among: Hypotheses
 
 def vote_of_chain(of: Features, force: np.ndarray, among: Hypotheses) -> Vote | None:
     """The vote of a chain of slopes, if one hypothesis explains them; arguments as ``vote``."""
-    left, share, _ = among.squares(of, force, is_chain=True)
+    left, share = among.squares(of, force, is_chain=True)
     sizes = of.y.shape[1] - NUM_BASE_VELOCITIES, len(force)
     return _ranked(left, share, among, len(of.y), sizes)
 

@@ -155,7 +155,7 @@ class Known:
             "kept": (SPAN, width), "states": (SPAN, size),
             "fired": (SPAN * bool(count), EVERY, count + 2 * nv),
             "against": (rows, units), "voted": (rows,), "agreed": (3,),
-            "doubted": (2 + units,), "errors": (2, payload_error.NUM_ERRORS),
+            "doubted": (2 + units,),
             "grows": (len(SPANS) * self._is_flexible,),
             "grown": ((AGO + 1) * self._is_flexible, len(SPANS), SIZE),
         }  # fmt: skip
@@ -191,7 +191,7 @@ class Known:
             beyond[: max(2 - int(samples), 0)] = 0.0
             axes = matrix_of(before[:, :4]) @ self._wheels.axes
             force[:, :3] -= (axes @ beyond[..., None])[..., 0] / self._step
-        force -= [self._model.calc_bias(*np.split(state, [self._nq])) for state in before]
+        force -= [self._model.calc_bias(state[: self._nq], state[self._nq :]) for state in before]
         mass = np.array([self._models.mass(state) for state in before])
         return beyond, self._step * np.linalg.solve(mass, force[..., None])[..., 0]
 

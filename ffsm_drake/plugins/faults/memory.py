@@ -49,13 +49,11 @@ class Memory:
     velocity ``was_off``. Of forces, ``rows`` of the samples of a block, ``kept`` blocks of
     ``sums``, and how many ``blocks`` form a window of sensors, or a ``span`` of forces, in blocks
     of the ``clock``; of the samples of blocks, ``fired`` forces and accelerations; ``states`` at
-    ends of blocks; ``rough``: mean square of unexplained changes; ``reach``:
-    largest changes by thrusters; ``grown``
-    forces of flexible parts, for ``grows`` blocks; ``errors`` of the payload that explained blocks.
-    Of decisions: squares ``against`` each unit, when windows ``voted`` last, the unit that
-    ``agreed``, units that are ``doubted``, and for how many blocks there were ``tries``. ``told``
-    force of units and ``momentum`` of wheels. Samples of this ``leg``, which the payload's mass
-    tells.
+    ends of blocks; ``rough``: mean square of unexplained changes; ``reach``: largest changes by
+    thrusters; ``grown`` forces of flexible parts, for ``grows`` blocks. Of decisions: squares
+    ``against`` each unit, when windows ``voted`` last, the unit that ``agreed``, units that are
+    ``doubted``, and for how many blocks there were ``tries``. ``told`` force of units and
+    ``momentum`` of wheels. Samples of this ``leg``, which the payload's mass tells.
 
     A small array is a view of a copy of the vector ``own``, made as it is read first. Setting it
     writes into the view.

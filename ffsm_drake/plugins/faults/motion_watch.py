@@ -90,16 +90,16 @@ class MotionWatch(SensorWatch):
     def _places(self, memory: Memory, means: Means, panels: PanelBound | None) -> Places:
         """What the middles of windows tell."""
         middle = -1 - means.middle
-        mass, inverse, bound, pushes, payload = self._models.at(memory.states[middle])
+        _, inverse, bound, pushes, payload = self._models.at(memory.states[middle])
         moved = memory.kept[:, self._at["moved"]]
         turns = np.abs(moved[-1 - means.ago] - moved[-means.window - means.ago])
         turns[:, 3:NUM_BASE_VELOCITIES] = 0.0
-        of_panels = np.zeros((len(mass), PANELS))
+        of_panels = np.zeros((len(middle), PANELS))
         if panels is not None:
             pairs = zip(means.window.tolist(), means.is_slope.tolist(), strict=True)
             of_panels[:] = [panels.of(window, is_slope=is_slope) for window, is_slope in pairs]
         return Places(
-            mass=mass, inverse=inverse, bound=bound, payload=payload, pushes=pushes,
+            inverse=inverse, bound=bound, payload=payload, pushes=pushes,
             velocity=memory.kept[middle, self._at["velocity"]], panels=of_panels,
             turned=turns.max(axis=1),
         )  # fmt: skip
@@ -117,16 +117,8 @@ class MotionWatch(SensorWatch):
             means, places = rows_of(means, rows), rows_of(places, rows)
             is_free = np.concatenate([is_free, np.ones(len(slope), dtype=bool)])
         all_of = features.whitened(means, places, self._box, is_free)
-        errors = memory.errors[0, : all_of.matrix.shape[2] - self._nv]
-        # payloads that explained what was seen before: the nominal one, the last one
-        squares = all_of.at_most(np.column_stack([0.0 * errors, errors])).min(axis=1)
-        looks = np.flatnonzero(squares > ALARM)
-        if not looks.size:
-            return None
-        of = rows_of(all_of, looks)
-        squares[looks], unknowns = least_squares(of.matrix, of.y, of.low, of.high, ALARM)
+        squares, _ = least_squares(all_of.matrix, all_of.y, all_of.low, all_of.high, ALARM)
         if not (squares > ALARM).any():
-            errors[:] = unknowns[squares[looks].argmax(), self._nv :]
             return None
         return self._votes_of(memory, all_of, squares)
 
@@ -158,14 +150,10 @@ class MotionWatch(SensorWatch):
         ago, is_free = CHAIN * np.arange(LINKS), np.full(LINKS, self._is_flexible)
         means = self._slopes(memory, np.full(LINKS, CHAIN), ago)
         of = features.whitened(means, self._places(memory, means, None), self._box, is_free)
-        errors = memory.errors[1, : of.matrix.shape[2] - self._nv]
-        if of.at_most(np.column_stack([0.0 * errors, errors])).sum(axis=0).min() < ALARM:
-            return votes
         joints, thrusters = self._in_use(memory)
         among = Hypotheses.of(joints, thrusters[: 0 if self._is_flexible else None])
-        left, _, payload = among.of_places(np.zeros(1, dtype=int)).squares(of, self._force)
-        if left[0] < ALARM:
-            errors[:] = payload[0]
+        healthy = among.of_places(np.zeros(1, dtype=int))
+        if healthy.squares(of, self._force, enough=ALARM)[0][0] <= ALARM:
             return votes
         found = vote_of_chain(of, self._force, among)
         return (votes or {}) | ({} if found is None else {2 * len(WINDOWS): (CHAIN, found)})
@@ -196,7 +184,7 @@ class MotionWatch(SensorWatch):
     @staticmethod
     def _begin(memory: Memory) -> None:
         """Forget earlier looks."""
-        for looks in (memory.against, memory.agreed, memory.doubted, memory.errors):
+        for looks in (memory.against, memory.agreed, memory.doubted):
             looks[:] = 0.0
         memory.tries = 0.0
 
