@@ -37,7 +37,7 @@ class Correction(Known):
         Args: also the row of the sample.
         """
         nq, nv, old = self._nq, self._nv, self._old(new)
-        if not (old.any() or memory.codes[self._of_sensors].any()):
+        if not (np.count_nonzero(old) or np.count_nonzero(memory.codes[self._of_sensors])):
             memory.seen[:] = raw
             return
         seen, expected = row[self._in["before"]], np.zeros(nv)

@@ -38,7 +38,7 @@ class ForceWatch(MotionWatch):
             samples = np.hstack([fires, left / step, expected / step])
             memory.fired = np.concatenate([memory.fired[1:], samples[None]])
             pushes = self._models.pushes(memory.seen)
-            pushed = np.linalg.solve(self._models.mass(memory.seen), pushes)
+            pushed = np.linalg.solve(self._models.dynamics(memory.seen)[0], pushes)
             memory.reach = step * np.abs(pushed) @ self._force
         memory.blocks += 1.0
         memory.span += 1.0

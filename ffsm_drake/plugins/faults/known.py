@@ -168,7 +168,7 @@ class Known:
         """Codes for the actuators (units)."""
         assert self._base is not None
         told = (codes[: len(self._base.units)] > 0.0) * LOST
-        if not self._settings.isolation_valves:
+        if np.count_nonzero(told) and not self._settings.isolation_valves:
             told[codes[: told.size] == CODE["stuck_on"]] = STUCK_ON
             told[codes[: told.size] == CODE["leaking"]] = 0.0
         return told
@@ -191,9 +191,9 @@ class Known:
             beyond[: max(2 - int(samples), 0)] = 0.0
             axes = matrix_of(before[:, :4]) @ self._wheels.axes
             force[:, :3] -= (axes @ beyond[..., None])[..., 0] / self._step
-        force -= [self._model.calc_bias(state[: self._nq], state[self._nq :]) for state in before]
-        mass = np.array([self._models.mass(state) for state in before])
-        return beyond, self._step * np.linalg.solve(mass, force[..., None])[..., 0]
+        mass, bias = zip(*map(self._models.dynamics, before), strict=True)
+        found = np.linalg.solve(np.array(mass), (force - bias)[..., None])[..., 0]
+        return beyond, self._step * found
 
     @staticmethod
     def _forget(memory: Memory) -> None:

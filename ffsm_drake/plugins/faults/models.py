@@ -1,5 +1,7 @@
 """The nominal model in states of the last blocks."""
 
+import math
+
 import numpy as np
 from pydrake.multibody.tree import Frame
 
@@ -27,7 +29,7 @@ class Models:
         self._model, self._bounds = model, bounds
         self._wrenches, self._payload = wrenches, payload
         self._kept = dict[bytes, np.ndarray]()
-        self._last = b"", np.zeros(0)
+        self._last = b"", np.zeros(0), np.zeros(0)
 
     def at(self, states: np.ndarray) -> tuple[np.ndarray, ...]:
         """Mass matrices (m, nv, nv), their inverses, bounds of forces (m, nv), generalized forces
@@ -43,13 +45,18 @@ class Models:
         of_thrusters = pushes.reshape(count, nv, self._wrenches.shape[1])
         return mass.reshape(square), inverse.reshape(square), bound, of_thrusters, payload
 
-    def mass(self, state: np.ndarray) -> np.ndarray:
-        """Mass matrix (nv, nv) in a state; the last one is kept."""
-        key = state.tobytes()
+    def dynamics(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mass matrix (nv, nv) and bias (nv) in a state; those of the last state are kept.
+
+        Raises ValueError: the state is not finite.
+        """
+        key, plant, context = state.tobytes(), self._model.plant, self._model.context
         if key != self._last[0]:
-            q = state[: -len(self._model.coordinates.names)]
-            self._last = key, np.array(self._model.calc_mass_matrix(q))
-        return self._last[1]
+            if not math.isfinite(state.dot(state)):  # Drake would end the process
+                raise ValueError("the state is not finite")
+            plant.SetPositionsAndVelocities(context, state)
+            self._last = key, plant.CalcMassMatrix(context), plant.CalcBiasTerm(context)
+        return self._last[1:]
 
     def pushes(self, state: np.ndarray) -> np.ndarray:
         """Generalized forces (nv, n) of unit forces of thrusters in a state."""
@@ -63,7 +70,7 @@ class Models:
         key = state.tobytes()
         row = self._kept.get(key)
         if row is None:
-            mass, pushes = self.mass(state), self.pushes(state)
+            mass, pushes = self.dynamics(state)[0], self.pushes(state)
             payload = np.zeros(0)
             if self._payload is not None:
                 payload = place(self._model, *self._payload, state)

@@ -37,11 +37,12 @@ class SensorWatch(Correction):
 
     def _examine(self, memory: Memory, raw: np.ndarray, slip: np.ndarray) -> None:
         """Examine each sensor; the slip of one that does not work is zero."""
-        codes, equal = memory.codes[self._of_sensors], raw == memory.raw
-        jumps = self._jumps(memory, slip)
-        if not (equal.any() or jumps.any() or memory.stale.any() or codes.any()):
-            memory.since = memory.repeats = 0.0
+        equal, jumps = raw == memory.raw, self._jumps(memory, slip)
+        if not any(map(np.count_nonzero, (equal, jumps, memory.stale, memory.codes))):
+            memory.since[:] = 0.0
+            memory.repeats[:] = 0.0
             return
+        codes = memory.codes[self._of_sensors]
         memory.since += np.concatenate([slip, slip])
         same, works = np.logical_and.reduceat(equal, self._columns), codes == 0.0
         memory.repeats[works] = np.where(same, memory.repeats + 1.0, 0.0)[works]
@@ -77,7 +78,7 @@ class SensorWatch(Correction):
             return jumps
         share = np.add.reduceat(square / (memory.jitter + 1e-30), starts)
         is_clear = share > (self._settings.threshold + 1.0) ** 2
-        if is_clear.any():
+        if np.count_nonzero(is_clear):
             is_clear &= np.add.reduceat(square, starts) > _JUMP**2
             lost = self._lost(memory.codes)[self._nv :]
             is_clear &= self._are_prompt[:count] & ~np.logical_or.reduceat(lost, starts)
