@@ -1,4 +1,4 @@
-"""Values over a window of time: their slope and noise."""
+"""Slopes of values over a window of time."""
 
 import functools
 
@@ -19,21 +19,3 @@ def slope_weights(windows: tuple[int, ...], count: int, step: float) -> np.ndarr
         weights[row, count - window :] = time / (time @ time)
     weights.flags.writeable = False
     return weights
-
-
-def noise_of(values: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """Standard deviation of white noise on slowly changing values (n, ...), at least the known one,
-    since few values are a poor estimate.
-    """
-    return np.maximum(np.sqrt((np.diff(values, n=2, axis=0) ** 2).mean(axis=0) / 6.0), least)
-
-
-def slope_of(
-    values: np.ndarray, step: float, least: np.ndarray | float = 0.0
-) -> tuple[np.ndarray, np.ndarray]:
-    """The slope of values (n, ...) that are a time apart, and its standard deviation, with at
-    least a noise of each value.
-    """
-    time = times_of(len(values), step)
-    square, noise = float(time @ time), noise_of(values, np.asarray(least))
-    return np.tensordot(time, values, axes=1) / square, noise / np.sqrt(square)

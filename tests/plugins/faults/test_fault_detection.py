@@ -11,7 +11,7 @@ from ffsm_drake import load_scenario, simulate
 from ffsm_drake.plugins.actuators.base import LOST
 from ffsm_drake.plugins.actuators.row import make_base_actuators
 from ffsm_drake.plugins.faults.detection import KINDS
-from ffsm_drake.plugins.faults.windows import slope_of
+from ffsm_drake.plugins.faults.windows import slope_weights
 from ffsm_drake.runs.exceeded_limits import run_remarks
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.spacecraft.coordinates import position_error
@@ -164,9 +164,11 @@ STEP, COUNT = 0.05, 32
 def test_slopes():
     rng = np.random.default_rng(2)
     lines = 0.3 * STEP * np.arange(COUNT)[:, None] + 0.01 * rng.standard_normal((COUNT, 2000))
-    slope, deviation = slope_of(lines, STEP)
-    assert slope.mean() == pytest.approx(0.3, abs=1e-3)
-    assert np.sqrt((deviation**2).mean()) == pytest.approx(slope.std(), rel=0.05)
+    whole, half = slope_weights((COUNT, COUNT // 2), COUNT, STEP) @ lines
+    for slope, count in ((whole, COUNT), (half, COUNT // 2)):
+        deviation = 0.01 * np.sqrt(12.0 / (count * (count**2 - 1.0))) / STEP
+        assert slope.mean() == pytest.approx(0.3, abs=3.0 * deviation / np.sqrt(2000))
+        assert slope.std() == pytest.approx(deviation, rel=0.05)
 
 
 @pytest.mark.parametrize(
