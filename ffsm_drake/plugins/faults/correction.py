@@ -53,7 +53,7 @@ class Correction(Known):
             ahead = moved(before, self._step * (speed + 0.5 * change))
             of_q, of_v, of_a = self._gains * position_error(q, ahead)
             speed = speed + change + of_v
-            memory.observed = np.concatenate([moved(ahead, of_q), speed])
+            memory.observed[:] = np.concatenate([moved(ahead, of_q), speed])
             memory.acceleration += of_a
             v = np.where(lost[nv:], speed, v)
         lost = lost | old

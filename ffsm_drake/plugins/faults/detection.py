@@ -141,7 +141,7 @@ class Detector(ForceWatch, Sampled):
         memory = self._layout.start(len(self.units))
         memory.leg = -1.0
         if state is not None:
-            memory.raw = memory.seen = memory.observed = state
+            memory.raw[:] = memory.seen[:] = memory.observed[:] = state
         return memory.arrays()
 
     def remembered(self, memory: Arrays) -> Memory:
@@ -175,7 +175,7 @@ class Detector(ForceWatch, Sampled):
         self._correct(memory, raw, row, new, is_first=is_first)
         if not is_first:
             self._look_at_sensors(memory, raw, row, new)
-        memory.raw = raw
+        memory.raw[:] = raw
         if is_first:
             return
         memory.samples += 1.0
@@ -190,6 +190,6 @@ class Detector(ForceWatch, Sampled):
         force = inputs["told_force"]
         if self._wheels is not None:
             force = force + inputs["gyroscopic_force"]
-            memory.momentum = inputs["wheel_momentum"]
+            memory.momentum[:] = inputs["wheel_momentum"]
         row[self._in["force"]] = force
-        memory.told = inputs.get("told_units", memory.told)
+        memory.told[:] = inputs.get("told_units", memory.told)

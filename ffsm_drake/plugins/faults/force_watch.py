@@ -31,7 +31,7 @@ class ForceWatch(MotionWatch):
         parts = left, *moves, 0.0 * now, step * fires, step * told[:, count:], beyond
         sums = np.cumsum(np.vstack([memory.sums, np.hstack(parts)]), axis=0)[1:]
         sums[:, self._at["velocity"]] = now
-        memory.sums = sums[-1]
+        memory.sums[:] = sums[-1]
         memory.kept = np.vstack([memory.kept[1:], sums.mean(axis=0)])
         memory.states = np.vstack([memory.states[1:], memory.seen])
         if count:
@@ -39,7 +39,7 @@ class ForceWatch(MotionWatch):
             memory.fired = np.concatenate([memory.fired[1:], samples[None]])
             pushes = self._models.pushes(memory.seen)
             pushed = np.linalg.solve(self._models.dynamics(memory.seen)[0], pushes)
-            memory.reach = step * np.abs(pushed) @ self._force
+            memory.reach[:] = step * np.abs(pushed) @ self._force
         memory.blocks += 1.0
         memory.span += 1.0
         memory.clock += 1.0

@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Mapping
-from typing import Any
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -21,24 +21,23 @@ class Layout:
 
     def __init__(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
         """Args: shapes of all arrays of ``Memory``, except ``codes``."""
-        self.replaced = {name: shapes[name] for name in _REPLACED}
-        self._own = {name: shape for name, shape in shapes.items() if name not in _REPLACED}
-        sizes = map(math.prod, self._own.values())
-        ends = itertools.pairwise(itertools.accumulate(sizes, initial=len(_NUMBERS)))
-        self.places = {
-            name: (slice(*pair), shape)
-            for (name, shape), pair in zip(self._own.items(), ends, strict=True)
+        # vectors stay as they are
+        self.shapes = {
+            name: shape for name, shape in shapes.items() if name in _REPLACED or len(shape) > 1
         }
+        sizes = {n: math.prod(shape) for n, shape in shapes.items() if n not in _REPLACED}
+        ends = itertools.pairwise(itertools.accumulate(sizes.values(), initial=len(_NUMBERS)))
+        self.places = {name: slice(*pair) for name, pair in zip(sizes, ends, strict=True)}
 
     def start(self, units: int) -> "Memory":
         """Zeros, with so many units."""
-        last = max(place.stop for place, _ in self.places.values())
+        last = max(place.stop for place in self.places.values())
         arrays = {"codes": np.zeros(units), "abort_request": np.zeros(1), "own": np.zeros(last)}
-        large = {name: np.zeros(math.prod(shape)) for name, shape in self.replaced.items()}
+        large = {name: np.zeros(math.prod(self.shapes[name])) for name in _REPLACED}
         return Memory(self, arrays | large)
 
 
-class Memory:
+class Memory(SimpleNamespace):
     """What the detector remembers from sample to sample; methods change it in place.
 
     Of each thruster, wheel, joint and sensor: the ``codes`` found. Of sensors: ``raw`` and ``seen``
@@ -55,42 +54,24 @@ class Memory:
     ``doubted``, and for how many blocks there were ``tries``. ``told`` force of units and
     ``momentum`` of wheels. Samples of this ``leg``, which the payload's mass tells.
 
-    A small array is a view of a copy of the vector ``own``, made as it is read first. Setting it
-    writes into the view.
+    A small array is a view of ``own``, a vector: it is written into, never replaced.
     """
 
     def __init__(self, layout: Layout, arrays: Arrays) -> None:
         """Args: layout; what ``arrays`` returned, which is not changed."""
-        own = np.array(arrays["own"])
-        large = {name: arrays.get(name, _NONE) for name in _REPLACED}
-        vars(self).update(zip(_NUMBERS, own[: len(_NUMBERS)].tolist(), strict=True))
-        vars(self).update(
-            layout=layout,
-            own=own,
-            codes=np.array(arrays["codes"]),
-            abort_request=float(arrays["abort_request"][0]),
-            **{name: large[name].reshape(shape) for name, shape in layout.replaced.items()},
-        )
-
-    def __getattr__(self, name: str) -> Any:
-        """A view of a small array."""
-        known = vars(self)
-        if name not in known["layout"].places:
-            raise AttributeError(name)
-        place, shape = known["layout"].places[name]
-        known[name] = view = known["own"][place].reshape(shape)
-        return view
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if name not in vars(self)["layout"].places:
-            vars(self)[name] = value
-        elif value is not getattr(self, name):
-            getattr(self, name)[...] = value
+        own, known = np.array(arrays["own"]), vars(self)
+        known.update(zip(_NUMBERS, own[: len(_NUMBERS)].tolist(), strict=True))
+        known.update({name: own[place] for name, place in layout.places.items()})
+        for name, shape in layout.shapes.items():
+            values = arrays.get(name, _NONE) if name in _REPLACED else known[name]
+            known[name] = values.reshape(shape)
+        self.own, self.codes = own, np.array(arrays["codes"])
+        self.abort_request = float(arrays["abort_request"][0])
 
     def arrays(self) -> Arrays:
         """Vectors, without empty ones."""
         known = vars(self)
-        known["own"][: len(_NUMBERS)] = [known[name] for name in _NUMBERS]
+        self.own[: len(_NUMBERS)] = [known[name] for name in _NUMBERS]
         found = {name: known[name].reshape(-1) for name in ("codes", "own", *_REPLACED)}
-        found["abort_request"] = np.array([known["abort_request"]])
+        found["abort_request"] = np.array([self.abort_request])
         return {name: values for name, values in found.items() if values.size}

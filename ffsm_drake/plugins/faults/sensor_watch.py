@@ -29,7 +29,7 @@ class SensorWatch(Correction):
         change = position_error(now[:nq], before[:nq])
         slip = change - 0.5 * self._step * (now[nq:] + before[nq:])
         if new is not None:
-            memory.stale = np.where(new > 0.0, 0.0, memory.stale + 1.0)
+            memory.stale[:] = np.where(new > 0.0, 0.0, memory.stale + 1.0)
         self._examine(memory, raw, slip)
         gain = 1.0 / min(memory.samples + 1.0, 4.0 * LEARNT)
         memory.jitter += gain * (slip**2 - memory.jitter)
