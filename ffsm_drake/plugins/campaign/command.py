@@ -412,21 +412,25 @@ def _drive(
             opened = stack.enter_context(local_workers(workers or processors()))
         progress = stack.enter_context(campaign_progress())
         drive(path, workers=opened, stop=stop, progress=progress)
-    if not _print_status(path):
-        problem = "every run ended in an error; correct the cause and run it into a new database"
+    if problem := _print_status(path):
         raise CampaignError(f"{path}: {problem}")
     click.echo(f"Next: ffsm campaign report {shlex.quote(str(path))}")
 
 
-def _print_status(path: Path) -> bool:
-    """Print the progress; return whether there is a run without an error, or none at all."""
-    from ffsm_drake.plugins.campaign.plan import status_text
+def _print_status(path: Path) -> str:
+    """Print the progress; return what is wrong if every run ended in an error, else nothing."""
+    from ffsm_drake.plugins.campaign.plan import errors, status_text
     from ffsm_drake.plugins.campaign.store import open_store
 
     with open_store(path) as store:
         click.echo(status_text(store))
         done = store.num_results()
-        return not done or done > sum(each["error"] for each in store.counts().values())
+        if not done or done > sum(each["error"] for each in store.counts().values()):
+            return ""
+        return (
+            f"every run ended in an error, such as: {errors(store)[0][1]}; correct the cause and "
+            "run it into a new database"
+        )
 
 
 def processors() -> int:

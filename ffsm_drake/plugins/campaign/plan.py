@@ -137,7 +137,8 @@ def status_text(store: Store) -> str:
             + "".join(f"{outcomes[name]:>13}" for name in OUTCOMES)
             + f"{mean:>9}"
         )
-    lines += _errors(store) + _engines(store)
+    causes = [f"error in {counted(count, 'run')}, such as: {text}" for count, text in errors(store)]
+    lines += (["", *causes] if causes else []) + _engines(store)
     memory = (
         "SELECT avg(rss_mib), max(rss_mib) FROM (SELECT rss_mib FROM results ORDER BY case_index "
         "{} LIMIT ?)"
@@ -156,17 +157,16 @@ def status_text(store: Store) -> str:
     return "\n".join(lines)
 
 
-def _errors(store: Store) -> list[str]:
-    """A line for each of the most frequent causes of errors: messages that differ in numbers have
-    the same cause.
+def errors(store: Store) -> list[tuple[int, str]]:
+    """The most frequent causes of errors: number of runs, and a message. Messages that differ in
+    numbers have the same cause.
     """
     causes = dict[str, list[str]]()
     select = "SELECT message FROM results WHERE outcome = 'error' ORDER BY case_index"
     for (message,) in store.query(select):
         causes.setdefault(_NUMBER.sub("", message), []).append(message)
     ranked = sorted(causes.values(), key=len, reverse=True)[:_SHOWN]
-    lines = [f"error in {counted(len(each), 'run')}, such as: {each[0]}" for each in ranked]
-    return ["", *lines] if lines else []
+    return [(len(each), each[0]) for each in ranked]
 
 
 def _engines(store: Store) -> list[str]:

@@ -590,7 +590,8 @@ def test_errors_are_counted_by_cause_and_only_errors_are_no_success(tmp_path):
         said = f"late by {value} s of joint"
         sql(path, f"UPDATE results SET message = '{said}' WHERE case_index = {case}")
     assert "\nerror in 4 runs, such as: late by 0.25 s of joint\n" in invoke("status", path).stdout
-    assert failed.stderr.splitlines()[-1].startswith(f"error: {path}: every run ended in an error")
+    last = failed.stderr.splitlines()[-1]
+    assert last.startswith(f"error: {path}: every run ended in an error, such as: late; ")
     assert "Next:" not in failed.stdout
 
 
