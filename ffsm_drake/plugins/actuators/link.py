@@ -3,17 +3,21 @@
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from ffsm_drake.loop.blocks import TOLD
 from ffsm_drake.plugins.actuators.link_settings import Link
 from ffsm_drake.plugins.actuators.packets import STREAM
-from ffsm_drake.plugins.actuators.receiver import Receiver, channel_of
+from ffsm_drake.plugins.actuators.receiver import (
+    Receiver,
+    channel_of,
+    link_metrics,
+    link_sentence,
+)
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.parts.metrics import Figure, Metric, by_key
+from ffsm_drake.systems.parts.metrics import Figure, Metric
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.parts.signals import STEPS, Signal
 from ffsm_drake.systems.sampled import Arrays, Now
@@ -121,20 +125,8 @@ class CommandLink(Part):
 
     def metrics(self) -> Sequence[Metric]:
         """Share of lost packets, and mean and largest age of the force that acts."""
-
-        def of(key: str, unit: str, calc: Any) -> Metric:
-            return Metric(key=f"link.{key}", unit=unit, of=calc)
-
-        return (
-            of("lost", "1", lambda run: float(run[LOST].mean())),
-            of("mean_age", "s", lambda run: float(run[AGE].mean())),
-            of("largest_age", "s", lambda run: float(run[AGE].max())),
-        )
+        return link_metrics("link", AGE, LOST)
 
     def sentence(self, figures: Sequence[Figure]) -> str:
         """See Part."""
-        found = by_key(figures)
-        return (
-            f"link: {100.0 * found['link.lost']:.3g} % of the packets lost, forces up to "
-            f"{found['link.largest_age']:.3g} s old"
-        )
+        return link_sentence("link", "link", "forces", figures)

@@ -15,6 +15,7 @@ from ffsm_drake.plugins.actuators.link_settings import PacketLosses
 from ffsm_drake.plugins.actuators.packets import Channel, packets_of
 from ffsm_drake.scenario.faults import samples_of
 from ffsm_drake.systems.faults import FOREVER
+from ffsm_drake.systems.parts.metrics import Figure, Metric, by_key
 from ffsm_drake.systems.sampled import Arrays, Sampled
 
 
@@ -88,4 +89,29 @@ def channel_of(
         lasts=duration,
         period=period,
         stream=stream,
+    )
+
+
+def link_metrics(section: str, age: str, lost: str) -> Sequence[Metric]:
+    """Share of lost packets, and mean and largest age of what is in use.
+
+    Args: first part of the keys; signals of the age, s, and of the loss.
+    """
+
+    def of(key: str, unit: str, calc: Any) -> Metric:
+        return Metric(key=f"{section}.{key}", unit=unit, of=calc)
+
+    return (
+        of("lost", "1", lambda run: float(run[lost].mean())),
+        of("mean_age", "s", lambda run: float(run[age].mean())),
+        of("largest_age", "s", lambda run: float(run[age].max())),
+    )
+
+
+def link_sentence(section: str, title: str, sent: str, figures: Sequence[Figure]) -> str:
+    """A line on a link; ``sent``: what it carries."""
+    found = by_key(figures)
+    return (
+        f"{title}: {100.0 * found[f'{section}.lost']:.3g} % of the packets lost, {sent} up to "
+        f"{found[f'{section}.largest_age']:.3g} s old"
     )

@@ -2,16 +2,21 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from ffsm_drake.plugins.actuators.link_settings import SensorLink
 from ffsm_drake.plugins.actuators.packets import STREAM, Channel, Packets, packets_of
-from ffsm_drake.plugins.actuators.receiver import Receiver, channel_of
+from ffsm_drake.plugins.actuators.receiver import (
+    Receiver,
+    channel_of,
+    link_metrics,
+    link_sentence,
+)
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.parts.metrics import Figure, Metric, by_key
+from ffsm_drake.systems.parts.metrics import Figure, Metric
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.parts.signals import STEPS, Signal, View
 from ffsm_drake.systems.sampled import Arrays, Now
@@ -129,20 +134,8 @@ class MeasurementLink(Part):
 
     def metrics(self) -> Sequence[Metric]:
         """Share of lost packets, and mean and largest age of the measurements."""
-
-        def of(key: str, unit: str, calc: Any) -> Metric:
-            return Metric(key=f"sensor_link.{key}", unit=unit, of=calc)
-
-        return (
-            of("lost", "1", lambda run: float(run[LOST].mean())),
-            of("mean_age", "s", lambda run: float(run[AGE].mean())),
-            of("largest_age", "s", lambda run: float(run[AGE].max())),
-        )
+        return link_metrics("sensor_link", AGE, LOST)
 
     def sentence(self, figures: Sequence[Figure]) -> str:
         """See Part."""
-        found = by_key(figures)
-        return (
-            f"sensor link: {100.0 * found['sensor_link.lost']:.3g} % of the packets lost, "
-            f"measurements up to {found['sensor_link.largest_age']:.3g} s old"
-        )
+        return link_sentence("sensor_link", "sensor link", "measurements", figures)
