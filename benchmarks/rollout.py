@@ -16,7 +16,7 @@ of a
     second model with the nominal payload;
 (d) the same on Basilisk, where it is installed (pip install bsk): its simulation of a MuJoCo model,
     the law of (c) as a module in Python, and a recorder of the state; ExecuteSimulation only;
-(e) 16 and 64 runs of (c) at once, which differ in their seed: an ``MjData`` each, the law on
+(e) 1, 16 and 64 runs of (c) at once, which differ in their seed: an ``MjData`` each, the law on
     arrays. Its time is that of all, divided by their number.
 (k) as many runs of our closed loop compiled, each with a seed of its own, per run, with their
     preparation, noise and log, where llvmlite is installed (pip install 'ffsm-drake[compiled]').

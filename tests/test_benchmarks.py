@@ -76,9 +76,11 @@ def test_rollout(monkeypatch, capsys):
         re.findall(r"of all runs, largest difference \(b\) - \((.)\): (\S+)", printed)
     )
     assert 0.0 < float(differences["e"]) < 1e-7
-    assert len(re.findall(rf"e/a {ratio}", printed)) == 2
+    numbers = re.findall(r"\(e\) (\d+) at once", printed)
+    assert numbers == ["1", "16", "64"]
+    assert len(re.findall(rf"e/a {ratio}", printed)) == len(numbers)
     compiled = "(k) skipped" not in printed
-    assert len(re.findall(rf"k/e {ratio}", printed)) == 2 * compiled
+    assert len(re.findall(rf"k/e {ratio}", printed)) == len(numbers) * compiled
     assert not compiled or float(differences["k"]) < 1e-10
     for other in others:
         # the shipped arm and three others
