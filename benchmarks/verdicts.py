@@ -309,18 +309,24 @@ def is_false_alarm(result: Mapping[str, Any]) -> bool:
     return result["end"]["kind"] == "settled" and result["verdict"]["said"] == WARNED
 
 
+def _ends(rows: Sequence[Mapping[str, Any]], key: str, values: Sequence[str]) -> list[str]:
+    """Lines with the number of runs of each end, for each value of a key of the verdict."""
+    counts = Counter((row["verdict"][key], row["end"]["kind"]) for row in rows)
+    width = max(len(name) for name in ENDS) + 2
+    return [f"{'':12}" + "".join(f"{name:>{width}}" for name in ENDS)] + [
+        f"{value or 'none':12}" + "".join(f"{counts[value, end]:{width}d}" for end in ENDS)
+        for value in values
+    ]
+
+
 def table(results: Mapping[str, Mapping[str, Any]]) -> str:
-    """Counts by verdict and end, misses and false alarms, and what the verdict costs of a complete
-    run.
+    """Counts of ends by verdict, and by the linear check alone; misses and false alarms, and what
+    the verdict costs of a complete run.
     """
     rows = list(results.values())
-    counts = Counter((row["verdict"]["said"], row["end"]["kind"]) for row in rows)
-    width = max(len(name) for name in ENDS) + 2
-    lines = [f"{'':12}" + "".join(f"{name:>{width}}" for name in ENDS)]
-    lines += [
-        f"{said:12}" + "".join(f"{counts[said, end]:{width}d}" for end in ENDS)
-        for said in (GOOD, WARNED, UNKNOWN)
-    ]
+    lines = _ends(rows, "said", (GOOD, WARNED, UNKNOWN))
+    linear = sorted({row["verdict"]["linear"] for row in rows})
+    lines += ["", "the linear check, without a rehearsal", *_ends(rows, "linear", linear)]
     for title, chosen in (("miss", is_miss), ("false alarm", is_false_alarm)):
         found = {name: row for name, row in results.items() if chosen(row)}
         share = len(found) / max(len(rows), 1)
