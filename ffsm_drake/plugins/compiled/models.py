@@ -1,12 +1,12 @@
 """Models of a spacecraft on symbols, for laws."""
 
 import dataclasses
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from pydrake.multibody.tree import Frame
 
-from ffsm_drake.plugins.compiled.parameters import reader_of
+from ffsm_drake.plugins.compiled.parameters import UNKNOWN, reader_of
 from ffsm_drake.plugins.equations import equations, frames
 from ffsm_drake.plugins.equations.errors import tracking_errors
 from ffsm_drake.plugins.equations.frames import quaternion_of
@@ -111,13 +111,6 @@ class PosedModel(PlantModel):
         return np.concatenate([quaternion, origin], axis=-1)
 
 
-class _Unknown:
-    """In place of a plant and its context, whose numbers would be constants of the code."""
-
-    def __getattr__(self, name: str) -> Any:
-        raise NotTraceable("the law reads the plant of its model")
-
-
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _TracedReduced(ReducedModel, TracedModel):
     """As TracedModel, of an underactuated plant."""
@@ -129,9 +122,8 @@ TracedModel.reduced = _TracedReduced
 def traced_model(model: PlantModel, own: np.ndarray) -> TracedModel:
     """Return a model with symbols as its parameters."""
     kind = _TracedReduced if isinstance(model, ReducedModel) else TracedModel
-    unknown: Any = _Unknown()
     return kind(
-        plant=unknown, context=unknown, coordinates=model.coordinates, split=model.split,
+        plant=UNKNOWN, context=UNKNOWN, coordinates=model.coordinates, split=model.split,
         own=own, tree=reader_of(model).tree.placed(own),
     )  # fmt: skip
 

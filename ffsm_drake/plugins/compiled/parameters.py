@@ -21,8 +21,10 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame
+from pydrake.systems.framework import Context
 
 from ffsm_drake.plugins.equations.tree import Reader
+from ffsm_drake.plugins.tape.numbers import NotTraceable
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.spacecraft.free_floating import ReducedModel
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -33,6 +35,16 @@ _CONSTANTS = (bool, int, float, str, slice, type(None), np.generic)
 
 Law = TypeVar("Law")  # or other blocks
 Models = Callable[[PlantModel, np.ndarray], PlantModel]
+
+
+class _Unknown:
+    """In place of a plant and its context, whose numbers would be constants of the code."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise NotTraceable("the law reads the plant of its model")
+
+
+UNKNOWN: Any = _Unknown()
 
 
 class BySample(Protocol):
@@ -67,7 +79,7 @@ def parameters_of(law: object, place: str = "the law") -> Parameters:
         planned.append(math.prod(table.shape[1:]))
         return table
 
-    _replaced(law, place, _Replacement(note, constants.append, lambda model, own: model, shape))
+    _replaced(law, place, _Replacement(note, constants.append, lambda model, own: model, shape, {}))
     return Parameters(np.concatenate(rows), tuple(constants), sum(planned))
 
 
@@ -82,7 +94,7 @@ def rows_of(law: object, q_d: np.ndarray) -> np.ndarray:
         return getattr(part, name)
 
     ignored = lambda *values: values[0]  # noqa: E731
-    _replaced(law, "the law", _Replacement(ignored, ignored, ignored, note))
+    _replaced(law, "the law", _Replacement(ignored, ignored, ignored, note, {}))
     return rows[0] if len(rows) == 1 else np.hstack([np.zeros((len(q_d), 0)), *rows])
 
 
@@ -104,7 +116,7 @@ def with_symbols(law: Law, symbols: np.ndarray, planned: np.ndarray, model: Mode
     def row(part: BySample, name: str) -> np.ndarray:
         return take("planned", planned, (1, *getattr(part, name).shape[1:]))
 
-    return _replaced(law, "the law", _Replacement(number, lambda constant: None, model, row))
+    return _replaced(law, "the law", _Replacement(number, lambda constant: None, model, row, {}))
 
 
 def reader_of(model: PlantModel) -> Reader:
@@ -126,6 +138,7 @@ class _Replacement(NamedTuple):
     constant: Callable[[Hashable], None]  # gets all else, which stays
     model: Models  # of a model, given its masses
     row: Callable[[BySample, str], np.ndarray]  # of a table by sample, given its owner and name
+    masses: dict[int, Any]  # what stands for those of a model, by the identity of its context
 
 
 def _replaced(value: Any, place: str, new: _Replacement) -> Any:
@@ -133,7 +146,9 @@ def _replaced(value: Any, place: str, new: _Replacement) -> Any:
     if type(value) in (PlantModel, ReducedModel):
         reader = reader_of(value)
         new.constant((type(value).__name__, value.coordinates.undriven, reader.tree))
-        return new.model(value, new.number(reader.parameters(value.context)))
+        return new.model(value, _masses(value, reader, new))
+    if isinstance(value, (MultibodyPlant, Context)):
+        return UNKNOWN
     if isinstance(value, Frame):
         placed = _reader(value.GetParentPlant(), ()).place_of(value)
         new.constant(placed)
@@ -161,6 +176,15 @@ def _replaced(value: Any, place: str, new: _Replacement) -> Any:
     if not dataclasses.is_dataclass(value) or isinstance(value, type):
         raise NotCovered(f"{place}: {type(value).__name__}, no number, array or dataclass")
     return _with_fields(value, place, new)
+
+
+def _masses(model: PlantModel, reader: Reader, new: _Replacement) -> Any:
+    """What stands for the masses of a model, once for all models with its context."""
+    known, key = new.masses, id(model.context)
+    new.constant([*known].index(key) if key in known else len(known))
+    if key not in known:
+        known[key] = new.number(reader.parameters(model.context))
+    return known[key]
 
 
 def _with_fields(value: Any, place: str, new: _Replacement) -> object:

@@ -60,7 +60,9 @@ class TracedSample:
         self.beside = slice(plant, blocks.states["x"])  # what feeds nothing back
         self._run = run
         # of the loops that it can be the sample of
-        self.blocks = BLOCKS | {f"forces.{name}" for name in blocks.parts.forces}
+        self.blocks = BLOCKS | {
+            f"forces.{name}" for name in (*blocks.parts.forces, *blocks.parts.last)
+        }
         period = math.lcm(*(each.phase_period for _, each in sampled_of(blocks.parts)))
         if period > _LONGEST:
             raise NotCovered("sensors with a long common period")
@@ -199,8 +201,8 @@ def _covered(mission: Mission, before: Mission, grip: Grip) -> Run:
         raise NotCovered(run.blocks.called)
     if scenario.actuation.wheels is not None:
         raise NotCovered("wheels")
-    if scenario.blocks.choices() or scenario.supervisor is not None or scenario.contacts:
-        raise NotCovered("blocks of a user, a supervisor, or contacts")
+    if scenario.blocks.choices() or scenario.supervisor is not None:
+        raise NotCovered("blocks of a user, or a supervisor")
     return run
 
 

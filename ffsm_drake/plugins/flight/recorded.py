@@ -50,12 +50,14 @@ def recorded(scenario: Scenario, reads: Collection[str]) -> Recorded:
     """
     law = FlightLaw(scenario, HELD)
     optional = [name for name in OPTIONAL if name in reads]
-    plain = scenario.faults is None and scenario.supervisor is None and not scenario.contacts
+    plain = scenario.faults is None and scenario.supervisor is None
     if plain and not scenario.blocks.choices():
         with suppress(FfsmError):  # llvmlite is an extra
             (log,) = Compiled().run_all([law.mission])
             if isinstance(log, RunLog):
                 return _of_log(log, law, optional)
+    if len(scenario.contacts) > 1 and scenario.chain.law != "plain":
+        raise FfsmError("the replay of a law in a closed chain needs a run that is compiled")
     return _tapped(scenario, optional)
 
 
@@ -74,6 +76,8 @@ def _of_log(log: RunLog, law: FlightLaw, optional: list[str]) -> Recorded:
         motion = make_motion(law.mission, law.grip)
         path: Any = make_frame_motion(law.mission, law.nominal, motion)
         given.append(path.rows(log.time))
+    if "measured_wrench" in optional:
+        given.append(series["contact_wrench"])
     grasp = count if log.grasp is None else log.grasp.sample
     samples = np.arange(count)
     holds = samples >= grasp if log.grasp is not None else np.ones(count)

@@ -45,10 +45,6 @@ class Closure:
         """The parts (r, ...) of twists (6, ...) along the directions."""
         return twist if len(self.rows) == 6 else np.array(self.rows) @ twist
 
-    def wrench(self, parts: Any) -> Any:
-        """The wrench (6) on the hand from its parts (r) along the directions."""
-        return parts if len(self.rows) == 6 else np.array(self.rows).T @ parts
-
     def jacobian(self, model: PlantModel, q: Any) -> Any:
         """A (r, nv) in a configuration q (nq): the twist [w; v] of the hand's frame in the
         target's, in its axes; rad/s, m/s.
@@ -73,6 +69,48 @@ class Closure:
     def met(self, model: PlantModel, q: np.ndarray) -> "Closure":
         """The loop that holds the hand where it is."""
         return dataclasses.replace(self, held=model.calc_frame_pose(q, self.hand, self.grasp))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Constraints:
+    """A v = 0 for the loops of a plant, in configurations q (nq); on numbers or symbols."""
+
+    model: PlantModel
+    closures: tuple[Closure, ...]
+
+    def jacobian(self, q: Any) -> Any:
+        """A (m, nv)."""
+        none = np.empty((0, q.size - 1))
+        return _stacked(none, [each.jacobian(self.model, q) for each in self.closures])
+
+    def bias(self, q: Any, v: Any) -> Any:
+        """dA/dt v (m)."""
+        return _stacked(v[:0], [each.bias(self.model, q, v) for each in self.closures])
+
+    def gap(self, q: Any) -> Any:
+        """The gaps (m)."""
+        return _stacked(q[:0], [each.gap(self.model, q) for each in self.closures])
+
+    def wrench(self, along: Any) -> Any:
+        """(6 for each loop) from what is along the constraints (m)."""
+        return along if self.is_spatial else self.wrench_map @ along
+
+    @functools.cached_property
+    def size(self) -> int:
+        """m, the number of constraints."""
+        return sum(len(each.rows) for each in self.closures)
+
+    @functools.cached_property
+    def is_spatial(self) -> bool:
+        """Whether the target can move in all six directions: ``wrench_map`` is the identity."""
+        return self.size == 6 * len(self.closures)
+
+    @functools.cached_property
+    def wrench_map(self) -> np.ndarray:
+        """(6 loops, m): the wrench on the hand of each loop, from the multipliers of A'."""
+        from scipy.linalg import block_diag  # slow to import
+
+        return block_diag(*(np.array(each.rows).T for each in self.closures))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,6 +159,9 @@ class ClosedChain:
         for loop in self.loops:
             self._check_joints(loop, first, np.setdiff1d(self.carrying, paths[loop.name]))
             self._check_joints(loop, loop.name, loop.joints)
+        closures = tuple(loop.closure for loop in self.loops)
+        of = self.constraints = Constraints(model=model, closures=closures)
+        self.jacobian, self.bias, self.gap = of.jacobian, of.bias, of.gap
 
     def _loop(self, name: str, contact: Contact, joints: np.ndarray, *, true: bool) -> Loop:
         key, plant, off = f"contacts.{name}", self.model.plant, np.zeros((2, 3))
@@ -162,37 +203,6 @@ class ClosedChain:
                 "plane)",
             )
 
-    def jacobian(self, q: np.ndarray) -> np.ndarray:
-        """A (m, nv) of all loops."""
-        none = np.empty((0, self.model.plant.num_velocities()))
-        return _stacked([loop.closure.jacobian(self.model, q) for loop in self.loops] or [none])
-
-    def bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """dA/dt v (m) of all loops."""
-        return _stacked([loop.closure.bias(self.model, q, v) for loop in self.loops])
-
-    def gap(self, q: np.ndarray) -> np.ndarray:
-        """The gaps (m) of all loops."""
-        none = np.empty(0)
-        return _stacked([loop.closure.gap(self.model, q) for loop in self.loops] or [none])
-
-    @functools.cached_property
-    def size(self) -> int:
-        """m, the number of constraints."""
-        return sum(len(loop.closure.rows) for loop in self.loops)
-
-    @functools.cached_property
-    def is_spatial(self) -> bool:
-        """Whether the target can move in all six directions: ``wrench_map`` is the identity."""
-        return self.size == 6 * len(self.loops)
-
-    @functools.cached_property
-    def wrench_map(self) -> np.ndarray:
-        """(6 loops, m): the wrench on the hand of each loop, from the multipliers of A'."""
-        from scipy.linalg import block_diag  # slow to import
-
-        return block_diag(*(np.array(loop.closure.rows).T for loop in self.loops))
-
     def closed(self, q: np.ndarray, loops: Sequence[Loop] | None = None) -> np.ndarray:
         """The configuration q (nq) with the joints of the closing arms moved until the loops, all
         or some, are closed. Raises ScenarioError: they are out of reach.
@@ -223,8 +233,8 @@ def newton_step(jacobian: np.ndarray, missing: np.ndarray) -> np.ndarray:
     return step * min(1.0, _LONGEST_STEP / max(np.abs(step).max(), 1e-300))
 
 
-def _stacked(parts: Sequence[np.ndarray]) -> np.ndarray:
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+def _stacked(none: Any, parts: Sequence[Any]) -> Any:
+    return parts[0] if len(parts) == 1 else np.concatenate([none, *parts])
 
 
 def _as_rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:

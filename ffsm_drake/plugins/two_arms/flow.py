@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.loop.blocks import WRENCH
-from ffsm_drake.plugins.two_arms.chain import ClosedChain, Closure
+from ffsm_drake.plugins.two_arms.chain import ClosedChain, Constraints
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.scenario.contacts import Contact
 from ffsm_drake.spacecraft.coordinates import halves
 from ffsm_drake.spacecraft.craft import Craft
-from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.setup import BlockSetup
@@ -21,7 +20,7 @@ WRENCHES, GAP = "contact_wrench", "contact_gap"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class ContactFlow(Continuous):
+class ContactFlow(Constraints, Continuous):
     """The force of the contacts.
 
     A rigid contact holds A v = 0: its multipliers solve A H^-1 (f + A' lambda) = -(dA/dt v + c), f
@@ -30,9 +29,8 @@ class ContactFlow(Continuous):
     stages' own gaps, O(h^2), for errors. A compliant contact gives lambda = -(K gap + D A v).
     """
 
-    model: PlantModel  # with flexible parts and the true payload
+    # its model has flexible parts and the true payload
     craft: Craft
-    closures: tuple[Closure, ...]
     rigid: np.ndarray  # (r) constraints of rigid contacts
     soft: np.ndarray  # (s) and of compliant ones
     gains: np.ndarray  # (2, m) of the correction, on the gap and on its rate
@@ -75,30 +73,13 @@ class ContactFlow(Continuous):
         if self.rigid.size:
             rows, free = A[self.rigid], self.model.calc_acceleration(q, v, force)
             inner = rows @ np.linalg.solve(self.model.calc_mass_matrix(q), rows.T)
-            bias = np.concatenate([each.bias(self.model, q, v) for each in self.closures])
-            wanted = -(bias[self.rigid] + inputs["correction"] + rows @ free)
+            wanted = -(self.bias(q, v)[self.rigid] + inputs["correction"] + rows @ free)
             multipliers[self.rigid] = np.linalg.solve(inner, wanted)
         wrench = -self.wrench(multipliers)  # on the target
         return {
             "generalized_force": split.known_velocities(multipliers @ A),
             WRENCHES: wrench, GAP: self.wrench(gap), WRENCH: wrench,
         }, {}  # fmt: skip
-
-    def jacobian(self, q: Any) -> Any:
-        """A (m, nv) in the plant's configuration q (nq)."""
-        return np.concatenate([each.jacobian(self.model, q) for each in self.closures])
-
-    def gap(self, q: Any) -> Any:
-        """The gaps (m)."""
-        return np.concatenate([each.gap(self.model, q) for each in self.closures])
-
-    def wrench(self, along: Any) -> Any:
-        """(6 for each contact) from what is along the constraints (m)."""
-        if len(along) == 6 * len(self.closures):
-            return along
-        ends = np.cumsum([len(each.rows) for each in self.closures])[:-1].tolist()
-        parts = zip(self.closures, np.split(along, ends), strict=True)
-        return np.concatenate([each.wrench(part) for each, part in parts])
 
     def _split(self, inputs: Arrays) -> Any:
         """The plant's own q and v."""
@@ -111,7 +92,8 @@ def contact_flow(setup: BlockSetup) -> ContactFlow:
     from scipy.linalg import block_diag  # slow to import
 
     model, h = setup.craft.flexible(setup.grip), setup.sample_time
-    loops = ClosedChain(model, setup.scenario, setup.grip, true=True).loops
+    chain = ClosedChain(model, setup.scenario, setup.grip, true=True)
+    loops = chain.loops
     rows = [np.array(loop.closure.rows) for loop in loops]
 
     def along(gains: Callable[[Contact], list[float]]) -> np.ndarray:
@@ -128,7 +110,7 @@ def contact_flow(setup: BlockSetup) -> ContactFlow:
     return ContactFlow(
         model=model,
         craft=setup.craft,
-        closures=tuple(loop.closure for loop in loops),
+        closures=chain.constraints.closures,
         rigid=np.flatnonzero(is_rigid),
         soft=np.flatnonzero(~is_rigid),
         gains=np.array([((1.0 - p) / h) ** 2, (1.0 - p) * (3.0 + p) / (2.0 * h)]),

@@ -71,7 +71,7 @@ def growth(mission: Mission, law: ControlLaw, q: np.ndarray, grip: Grip = HELD) 
         acceleration = drive @ force
         moved = moved + period * rate + 0.5 * period**2 * acceleration
         rate = rate + period * acceleration
-        wrenches.append((chain.wrench_map @ (reaction @ force))[:6])
+        wrenches.append(chain.constraints.wrench(reaction @ force)[:6])
         if not np.abs(wrenches[-1]).max() < _HUGE:
             break
     return Growth(

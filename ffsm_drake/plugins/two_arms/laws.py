@@ -13,13 +13,15 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from pydrake.multibody.tree import Frame
 from scipy.linalg.lapack import dgesv, dposv
 
+from ffsm_drake.common.choice import is_known
 from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.common.products import times
 from ffsm_drake.common.so3 import cross_of
 from ffsm_drake.mission import Mission
-from ffsm_drake.plugins.two_arms.chain import ClosedChain
+from ffsm_drake.plugins.two_arms.chain import ClosedChain, Constraints
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import InternalForce, closing_contacts
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
@@ -38,63 +40,54 @@ _OF_A_LAW = ("controllers", "estimator", "sensing")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class TreeModel(PlantModel):
-    """The nominal plant with the constraints of its loops."""
-
-    chain: ClosedChain
-
-    @stacked
-    def calc_constraints(self, q: np.ndarray) -> np.ndarray:
-        """A (..., m, nv) in configurations q (..., nq)."""
-        return self.chain.jacobian(q)
-
-    @stacked
-    def calc_constraint_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """dA/dt v (..., m) for velocities v (..., nv)."""
-        return self.chain.bias(q, v)
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
 class ChainModel(PlantModel):
-    """The nominal plant in minimal velocities nu (n), v = S nu.
+    """The nominal plant in minimal velocities nu (n), v = S nu, on numbers or symbols.
 
     Configurations q (..., nq) are those of the tree; all else is along nu.
     """
 
-    tree: TreeModel
+    constraints: Constraints  # of the tree
     free: Any  # indices of nu in v (n)
     following: Any  # indices of the other velocities (m)
-    # the last configuration, with A, S and H there: used several times per sample
-    kept: list[tuple[np.ndarray, ...]] = dataclasses.field(default_factory=list, compare=False)
+
+    @property
+    def tree(self) -> PlantModel:
+        """The plant without the loops."""
+        return self.constraints.model
+
+    @functools.cached_property
+    def _kept(self) -> list[tuple[np.ndarray, ...]]:
+        """The last configuration, with A, S and H there: used several times per sample."""
+        return []
 
     def calc_map(self, q: np.ndarray) -> tuple[np.ndarray, ...]:
         """A (..., m, nv), S (..., nv, n) and H (..., nv, nv) in configurations q (..., nq)."""
-        if not (self.kept and self.kept[0][0] is q):
-            constraints = self.tree.calc_constraints(q)
-            if q.ndim > 1:
-                whole = self.tree.calc_mass_matrix(q)
-            else:  # the context is at q
-                whole = self.plant.CalcMassMatrix(self.context)
-            self.kept[:] = [(q, constraints, self.map_of(constraints), whole)]
-        return self.kept[0][1:]
+        if not (self._kept and self._kept[0][0] is q):
+            constraints = self._calc_constraints(q)
+            whole = self.tree.calc_mass_matrix(q)
+            self._kept[:] = [(q, constraints, self.map_of(constraints), whole)]
+        return self._kept[0][1:]
+
+    @stacked
+    def _calc_constraints(self, q: np.ndarray) -> np.ndarray:
+        found: np.ndarray = self.constraints.jacobian(q)
+        return found
 
     def map_of(self, constraints: np.ndarray) -> np.ndarray:
         """S (..., nv, n) of A (..., m, nv)."""
-        across = constraints[..., self.following], constraints[..., self.free]
-        if constraints.ndim > 2:
-            found = np.tile(self._still, (*constraints.shape[:-2], 1, 1))
-            found[..., self.following, :] = -np.linalg.solve(*across)
-        else:
-            found = self._still.copy()
-            found[self.following] = -dgesv(*across)[2]  # faster on few numbers
+        following, free = self.following, self.free
+        count = len(self.coordinates.names)
+        shape = (*constraints.shape[:-2], constraints.shape[-1], count)
+        found = np.zeros_like(constraints, shape=shape)
+        found[..., free, :] = np.eye(count)
+        found[..., following, :] = -_across(constraints[..., following], constraints[..., free])
         return found
 
-    @functools.cached_property
-    def _still(self) -> np.ndarray:
-        """S (nv, n) where nothing follows."""
-        found = np.zeros((len(self.tree.coordinates.names), len(self.coordinates.names)))
-        found[self.free] = np.eye(found.shape[1])
-        return found
+    def calc_tracking_errors(
+        self, desired: np.ndarray, actual: np.ndarray, num_positions: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See PlantModel; of states of the tree."""
+        return self.tree.calc_tracking_errors(desired, actual, num_positions)
 
     def calc_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """S' H S (..., n, n)."""
@@ -112,13 +105,27 @@ class ChainModel(PlantModel):
     @stacked
     def calc_bias(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """S' (C + H dS/dt nu) (..., n) for minimal velocities v (..., n)."""
+        whole = self.calc_map(q)[1]
+        return whole.T @ self.tree.calc_inverse_dynamics(q, *self._moved(q, v))
+
+    def _moved(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """S nu and dS/dt nu (nv), at q (nq) for nu (n)."""
         constraints, whole, _ = self.calc_map(q)
         rates = whole @ v
-        drift = np.zeros(rates.size)
-        drift[self.following] = -np.linalg.solve(
-            constraints[:, self.following], self.tree.calc_constraint_bias(q, rates)
+        drift = np.zeros_like(rates)
+        drift[self.following] = -_across(
+            constraints[:, self.following], self.constraints.bias(q, rates)
         )
-        return whole.T @ self.tree.calc_inverse_dynamics(q, rates, drift)
+        return rates, drift
+
+
+def _across(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """X with M X = B, of M (..., m, m) and B (m) or (..., m, n)."""
+    if matrix.ndim > 2:
+        return np.linalg.solve(matrix, right)
+    if is_known(matrix):
+        return dgesv(matrix, right)[2]  # faster on few numbers
+    return matrix.T @ np.linalg.solve(matrix @ matrix.T, right)  # symbols are not exchanged
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -128,52 +135,49 @@ class InternalControl:
     gain: float  # times the sample time
     preload: np.ndarray  # (m)
     share: float
-    model: TreeModel
-    target: str
+    target: Frame  # of its body
+    # kg; centre of mass (3), m; inertia (3, 3) about the frame's origin, kg m^2; in its axes
+    mass: np.ndarray
+    center: np.ndarray
+    inertia: np.ndarray
 
-    def wanted(self, sample: Sample) -> np.ndarray:
-        """The wanted wrenches (..., m), along the constraints."""
-        if not self.share:
-            return self.preload
-        return self.preload + self.share * self._load(sample.q_d, sample.v_d, sample.a_d)
-
-    def step(self, sample: Sample, force: np.ndarray) -> np.ndarray:
-        """F at the next sample."""
+    def step(self, chain: Constraints, sample: Sample, force: np.ndarray) -> np.ndarray:
+        """F at the next sample, of the nominal chain."""
         if sample.contact_wrench is None:
             return force
-        measured = sample.contact_wrench
-        if not self.model.chain.is_spatial:
-            measured = measured @ self.model.chain.wrench_map
-        return force + self.gain * (self.wanted(sample) - measured)
+        measured, wanted = sample.contact_wrench, self.preload
+        if not chain.is_spatial:
+            measured = measured @ chain.wrench_map
+        if self.share:
+            load = self._load(chain, sample.q_d, sample.v_d, sample.a_d)
+            wanted = wanted + self.share * load
+        return force + self.gain * (wanted - measured)
 
-    def _load(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    def _load(self, chain: Constraints, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """The wrenches (..., m) that each contact alone would need to move the target."""
         if q.ndim > 1:
-            return np.stack([self._load(*one) for one in zip(q, v, a, strict=True)])
-        plant, context = self.model.plant, self.model.context
-        body = find_body(plant, self.target, key="payload.body")
-        motion = self.model.calc_frame_motion(q, v, a, body.body_frame())
+            return np.stack([self._load(chain, *one) for one in zip(q, v, a, strict=True)])
+        model = chain.model
+        motion, R = (
+            model.calc_frame_motion(q, v, a, self.target),
+            model.calc_frame_rotation(q, self.target),
+        )
         w, alpha, linear = motion[7:10], motion[13:16], motion[16:19]
-        X_WB = body.EvalPoseInWorld(context)
-        R, M = X_WB.rotation().matrix(), body.CalcSpatialInertiaInBodyFrame(context)
-        p = R @ M.get_com()
-        inertia = R @ M.CalcRotationalInertia().CopyToFullMatrix3() @ R.T
-        force = M.get_mass() * (linear + cross_of(alpha, p) + cross_of(w, cross_of(w, p)))
-        moment = inertia @ alpha + cross_of(w, inertia @ w) + M.get_mass() * cross_of(p, linear)
+        p, inertia = R @ self.center, R @ self.inertia @ R.T
+        force = self.mass * (linear + cross_of(alpha, p) + cross_of(w, cross_of(w, p)))
+        moment = inertia @ alpha + cross_of(w, inertia @ w) + self.mass * cross_of(p, linear)
         wrenches = []
-        for loop in self.model.chain.loops:
-            X_WG = loop.closure.grasp.CalcPoseInWorld(context)
-            arm = X_WG.translation() - X_WB.translation()
-            turn = X_WG.rotation().matrix().T
+        for each in chain.closures:
+            arm = model.calc_frame_pose(q, each.grasp)[4:] - motion[4:7]
+            turn = model.calc_frame_rotation(q, each.grasp).T
             wrenches += [turn @ (moment - cross_of(arm, force)), turn @ force]
-        return np.concatenate(wrenches) @ self.model.chain.wrench_map
+        return np.concatenate(wrenches) @ chain.wrench_map
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MinimalLaw(WrappedLaw):
     """A law in minimal velocities; its memory of all coordinates is zero for those that follow."""
 
-    tree: TreeModel
     model: ChainModel
     internal: InternalControl | None
     # (nv) squares of the force limits; the force is that of least tau^2 / share, summed
@@ -182,11 +186,11 @@ class MinimalLaw(WrappedLaw):
     @property
     def contacts_read(self) -> int:  # type: ignore[override]
         """All contacts that close loops, where their wrench is controlled."""
-        return len(self.tree.chain.loops) if self.internal is not None else 0
+        return len(self.model.constraints.closures) if self.internal is not None else 0
 
     def initial_state(self) -> State:
         """The law's, and the force of the internal control."""
-        internal = {_INTERNAL: np.zeros(self.tree.chain.size)} if self.internal else {}
+        internal = {_INTERNAL: np.zeros(self.model.constraints.size)} if self.internal else {}
         return {**self._padded(self.law.initial_state()), **internal}
 
     @property
@@ -217,6 +221,7 @@ class MinimalLaw(WrappedLaw):
             times(whole.mT, sample.applied_force),
             sample.is_first,
             None if sample.is_new is None else self._new(sample.is_new),
+            sample.desired_frame,
         )
         own = {
             name: value[..., free] if name in _OF_ALL else value
@@ -229,23 +234,24 @@ class MinimalLaw(WrappedLaw):
         weighted = across * self.share[free]
         inner = weighted @ across.mT + self._softness
         driven = times(weighted, force)
-        if driven.ndim > 1:
-            taken = np.linalg.solve(inner, driven[..., None])[..., 0]
+        if driven.ndim == 1 and is_known(driven):
+            taken = dposv(inner, driven)[1]  # faster on few numbers
         else:
-            taken = dposv(inner, driven)[1]
-        least = np.empty((*force.shape[:-1], self.share.size))
+            taken = np.linalg.solve(inner, driven[..., None])[..., 0]
+        least = np.zeros_like(force, shape=(*force.shape[:-1], self.share.size))
         least[..., free] = force - times(across.mT, taken)
         least[..., following] = taken
         if self.internal is None:
             return least, self._padded(memory)
-        internal = self.internal.step(sample, state[_INTERNAL])
+        internal = self.internal.step(self.model.constraints, sample, state[_INTERNAL])
         # A' F on the joints takes F from the multipliers, which act on the hand
         force = least + times(constraints.mT, internal)
         return force, {**self._padded(memory), _INTERNAL: internal}
 
     @functools.cached_property
     def _softness(self) -> np.ndarray:
-        return np.diag(1.0 / self.share[self.model.following])
+        among = self.share[self.model.following]
+        return np.eye(among.size) / among
 
     def _new(self, is_new: np.ndarray) -> np.ndarray:
         positions, velocities = np.split(is_new, 2, axis=-1)
@@ -260,7 +266,7 @@ class MinimalLaw(WrappedLaw):
 
     def _whole(self, values: np.ndarray) -> np.ndarray:
         """Values (..., nv) of all velocities from those of the minimal ones."""
-        found = np.zeros((*values.shape[:-1], self.share.size))
+        found = np.zeros_like(values, shape=(*values.shape[:-1], self.share.size))
         found[..., self.model.free] = values
         return found
 
@@ -284,11 +290,9 @@ def make_in_chain(setup: BlockSetup, make: Callable[[BlockSetup], Any]) -> Contr
                 "compliant does not go with chain.law: minimal, which takes the chain for rigid; "
                 "set chain.law: plain",
             )
-    shared = {each.name: getattr(nominal, each.name) for each in dataclasses.fields(PlantModel)}
-    chain = ClosedChain(PlantModel(**shared), scenario, setup.grip, true=False)
-    tree = TreeModel(**shared, chain=chain)
-    model = _minimal_model(setup.mission, tree)
-    following = set(tree.coordinates.names) - set(model.coordinates.names)
+    chain = ClosedChain(nominal, scenario, setup.grip, true=False)
+    model = _minimal_model(setup.mission, chain)
+    following = set(nominal.coordinates.names) - set(model.coordinates.names)
     own = dataclasses.replace(
         setup,
         nominal=model,
@@ -305,15 +309,14 @@ def make_in_chain(setup: BlockSetup, make: Callable[[BlockSetup], Any]) -> Contr
         raise _unfit(setup, "is a Drake system")
     _try(law, model, setup)
     given = scenario.chain.force
-    limit = tree.coordinates.vector(
+    limit = nominal.coordinates.vector(
         scenario.actuation.limit or {}, key="actuation.limit", default=np.inf
     )
     largest = limit[np.isfinite(limit)].max(initial=1.0)
     return MinimalLaw(
         law=law,
-        tree=tree,
         model=model,
-        internal=None if given is None else _internal_control(given, scenario, tree),
+        internal=None if given is None else _internal_control(given, scenario, chain),
         share=np.where(np.isfinite(limit), limit / largest, 1.0) ** 2,
     )
 
@@ -338,29 +341,36 @@ def _unfit(setup: BlockSetup, reason: str) -> BlockError:
     )
 
 
-def _internal_control(given: InternalForce, scenario: Scenario, tree: TreeModel) -> InternalControl:
-    preload = np.tile(np.array(given.preload), len(tree.chain.loops)) @ tree.chain.wrench_map
+def _internal_control(
+    given: InternalForce, scenario: Scenario, chain: ClosedChain
+) -> InternalControl:
+    model = chain.model
+    body = find_body(model.plant, scenario.payload.body, key="payload.body")
+    inertia = body.CalcSpatialInertiaInBodyFrame(model.context)
+    preload = np.tile(np.array(given.preload), len(chain.loops)) @ chain.constraints.wrench_map
     return InternalControl(
         gain=given.gain * scenario.sample_time,
         preload=preload,
         share=given.share,
-        model=tree,
-        target=scenario.payload.body,
+        target=body.body_frame(),
+        mass=np.array(inertia.get_mass()),
+        center=inertia.get_com(),
+        inertia=inertia.CalcRotationalInertia().CopyToFullMatrix3(),
     )
 
 
-def _minimal_model(mission: Mission, tree: TreeModel) -> ChainModel:
+def _minimal_model(mission: Mission, chain: ClosedChain) -> ChainModel:
     """The minimal velocities: all but joints of the closing arms, chosen where the hands grasp so
     that the others move them the least.
     """
-    scenario = mission.scenario
+    scenario, tree = mission.scenario, chain.model
     if tree.grip.closed:  # where the last hand grasps
         time = scenario.grasp_time + tree.grip.closed
         q = make_motion(mission, tree.grip).evaluate(time)[0]
     else:
         q = configuration(tree.coordinates, scenario.initial_posture, key="initial_posture")
-    q, following = tree.chain.closed(q), list[int]()
-    for loop in tree.chain.loops:
+    q, following = chain.closed(q), list[int]()
+    for loop in chain.loops:
         jacobian = loop.closure.jacobian(tree, q)[:, loop.joints]
         for _ in range(len(jacobian)):  # the longest column, and the rest across it
             longest = int(np.argmax(np.linalg.norm(jacobian, axis=0)))
@@ -381,7 +391,7 @@ def _minimal_model(mission: Mission, tree: TreeModel) -> ChainModel:
         coordinates=fewer,
         split=tree.split,
         grip=tree.grip,
-        tree=tree,
+        constraints=chain.constraints,
         free=_as_slice(free),
         following=_as_slice(chosen),
     )

@@ -140,6 +140,34 @@ def test_the_loop_is_that_of_differences(law, name, overrides, monkeypatch):
     check_loop(name, law, overrides, 0.5, monkeypatch)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("law", "most"), [("tdc", 5e-6), ("tde_aismc", 1e-6)])
+def test_poles_in_a_closed_chain_are_those_of_drake(law, most, monkeypatch):
+    """But for those that decay within a few samples. The differences split multiple poles."""
+    scenario = load_scenario("two_arms_capture", [f"controller={law}"])
+    poles = []
+    for _ in range(2):
+        with Linearizer(scenario) as linearizer:
+            assert linearizer.is_exact is not bool(poles)
+            found = linearizer.at(linearizer.part(0.5)).poles
+        poles.append(found[np.abs(found) > 0.97])
+        monkeypatch.setattr(linearization, "traced_sample", lambda *given: None)
+    assert poles[0].size == poles[1].size > 10
+    apart = np.abs(poles[0][:, None] - poles[1])
+    assert apart.min(axis=0).max() < most
+    assert apart.min(axis=1).max() < most
+
+
+@pytest.mark.slow
+def test_forces_that_no_motion_shows_have_poles_at_one_exactly():
+    scenario = load_scenario("two_arms", ["controller=tdc", "chain.law=plain"])
+    with Linearizer(scenario) as linearizer:
+        assert linearizer.is_exact
+        loop = linearizer.at(linearizer.end)
+        assert loop.unit_poles == 6
+        np.testing.assert_allclose(loop.poles[:6], 1.0, atol=1e-7)
+
+
 def test_a_force_of_a_user_is_left_to_differences():
     """A compiled sample would not have it, and its effect in some samples is small."""
     own = "blocks.forces.own.system=own_stage:Pull"

@@ -28,6 +28,7 @@ SHIPPED = {
 }
 FAST = "environment={altitude: null, mean_motion: 0.01}"
 LAWS = joint_laws("slotine_li")
+IN_CHAIN = joint_laws("coordinated", "slotine_li", "tvlqr", "torque_against_momentum")
 
 
 @pytest.mark.slow
@@ -324,14 +325,16 @@ def test_a_second_try_has_the_run_of_drake():
 
 def closed_chains(random):
     """Two hands on one target, with errors of their calibration; the mass of the target by run."""
-    name = str(random.choice(["two_arms", "tohoku_arms"]))
+    name = str(random.choice(["two_arms", "two_arms_capture", "tohoku_arms"]))
     given = [f"contacts.right.stabilization={random.uniform(5, 40):.1f}"]
-    if name == "two_arms" and random.random() < 0.5:
+    if name != "tohoku_arms" and random.random() < 0.5:
         for kind in ("position", "rotation"):
             error = np.round(1e-3 * random.normal(size=3), 6).tolist()
             given.append(f"contacts.right.{kind}_error={error}")
-    given += [str(random.choice(["chain.law=plain", "chain.force={}", "chain.law=minimal"]))]
-    given.append(f"controller={random.choice(['tdc', 'pd_plus', 'computed_torque'])}")
+    pressed = "chain.force={share: 0.5, gain: 20, preload: [0, 0, 0.5, 1, 0, 2]}"
+    given += [str(random.choice(["chain.law=plain", "chain.force=null", pressed]))]
+    given.append(f"controller={random.choice(IN_CHAIN)}")
+    given.append(f"estimator.kind={random.choice(['one_sample', 'kalman', 'coupled'])}")
     return name, given, [[f"payload.truth.mass={mass}"] for mass in (80.0, 100.0, 120.0)]
 
 
@@ -339,8 +342,18 @@ def closed_chains(random):
 @pytest.mark.parametrize("seed", range(DRAWS))
 def test_drawn_closed_chains_have_the_runs_of_drake(seed):
     name, given, each = closed_chains(np.random.default_rng(seed))
-    # a law in the minimal velocities of its chain is called
-    check(of_seeds(name, ["duration=0.2", *given], each), called="chain.law=plain" not in given)
+    check(of_seeds(name, ["duration=0.2", *given], each))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["two_arms", "two_arms_capture"])
+@pytest.mark.parametrize("law", IN_CHAIN)
+def test_each_law_in_a_closed_chain_has_the_runs_of_drake(law, name):
+    each = [
+        [f"payload.truth.mass={mass}", f"initial_posture.joints.left_1={1.604 + angle}"]
+        for mass, angle in ((80.0, -0.02), (100.0, 0.0), (120.0, 0.02))
+    ]
+    check(of_seeds(name, ["duration=1", f"controller={law}"], each))
 
 
 def detected(random):

@@ -65,3 +65,15 @@ def test_the_forces_of_a_law_within_barriers_are_equal(level, tmp_path):
     done = finished([str(program)], cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "passed: equal bit for bit" in done.stdout
+
+
+@needs_c
+@pytest.mark.long
+def test_the_forces_of_a_law_in_a_closed_chain_are_equal(tmp_path):
+    """It reads the wrench at the other hand."""
+    given = ["duration=2", "chain.force={share: 0.5, preload: [0, 0, 1, 0, 0, 5]}"]
+    export(tmp_path / "law.c", load_scenario("two_arms", given), kit=True)
+    program = compiled(tmp_path, ["replay.c", "recording.c", "law.c"], "-O0", name="replay")
+    done = finished([str(program)], cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "passed: equal bit for bit" in done.stdout

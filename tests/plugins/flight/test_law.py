@@ -192,7 +192,6 @@ def test_a_law_that_is_no_function_of_a_sample_is_refused(law):
 @pytest.mark.parametrize(
     ("name", "given"),
     [
-        ("two_arms", []),  # the law of a closed chain
         ("tumbling_capture", ["controller=tvlqr"]),  # a table by sample of a plan
         ("postcapture", ["controller=ffsm_drake.plugins.udp.external:External"]),
     ],

@@ -20,6 +20,7 @@ from ffsm_drake import (
 from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.verdict import verdict
+from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.plugins.two_arms.growth import growth
 from ffsm_drake.runs.exceeded_limits import broken_limits
 from ffsm_drake.scenario import PerCoordinate
@@ -183,17 +184,16 @@ def test_the_chains_model_is_that_of_the_constrained_tree() -> None:
 
     simulate(scenario(KNOWN, "duration=0.01"), blocks={"controller": Watch}, check_stability=False)
     chain, generator = seen[0], np.random.default_rng(0)
-    q = chain.tree.chain.closed(nominal.plant.GetPositions(chain.context))
+    q = ClosedChain(nominal, given, true=False).closed(nominal.plant.GetPositions(chain.context))
     nu, rate = generator.normal(size=12), generator.normal(size=12)
-    constraints = chain.tree.calc_constraints(q)
-    whole = chain.map_of(constraints)
+    constraints, whole, _ = chain.calc_map(q)
     assert_allclose(constraints @ whole, 0.0, atol=1e-12)
     v = whole @ nu
     # any dv/dt with A dv/dt = -dA/dt v whose minimal part is the rate
     a = whole @ rate
     change = np.linalg.lstsq(
         constraints[:, chain.following],
-        -chain.tree.calc_constraint_bias(q, v) - constraints @ a,
+        -chain.constraints.bias(q, v) - constraints @ a,
         rcond=None,
     )[0]
     a[chain.following] += change
