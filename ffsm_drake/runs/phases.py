@@ -135,19 +135,12 @@ class Phases:
     complete: Callable[[tuple[RunLog, ...]], tuple[RunLog, ...]] = lambda logs: logs
 
 
-# The loop with the hands on the target that have closed up to a time after the grasp, s.
-HeldLoops = Callable[[float], ClosedLoop]
-
-
 class PhasesOf(Protocol):
-    """Returns the phases of a mission, given those before a plug-in adds its own.
-
-    Args: the mission; the phases; loops with closed hands, which compiled runs do not have.
-
-    Raises the errors of a plan.
+    """Returns the phases of a mission, given those before a plug-in adds its own. Raises the errors
+    of a plan.
     """
 
-    def __call__(self, mission: Mission, before: Phases, held: HeldLoops | None) -> Phases: ...
+    def __call__(self, mission: Mission, before: Phases) -> Phases: ...
 
 
 # "capture" and "later_hands", in this order.
@@ -156,8 +149,20 @@ MISSION_PHASES = Registry[PhasesOf]("mission_phases")
 TARGET_VIEWS = Registry[Callable[[Mission], Show]]("target_views")
 
 
+def phases_of_mission(mission: Mission) -> Phases:
+    """Return the phases of a mission. Raises the errors of a plan."""
+    phases = Phases(kinds={"": Stop()})
+    if mission.scenario.grasps:
+        phases = MISSION_PHASES.load("capture", "capture")(mission, phases)
+    if len(closing_times(mission.scenario)) > 1:
+        phases = MISSION_PHASES.load("later_hands", "contacts.closes")(mission, phases)
+    return phases
+
+
 class PhasedRollout:
     """A ``Rollout`` of a scenario with phases."""
+
+    phases = staticmethod(phases_of_mission)
 
     def __init__(
         self,
@@ -178,25 +183,10 @@ class PhasedRollout:
                 show = None if view is None else view(mission)
                 self._loops[EMPTY] = Rollout(mission, grip=EMPTY, show=show, **how)
 
-    def phases(self, mission: Mission) -> Phases:
-        """The phases of a mission."""
-        phases = Phases(kinds={"": Stop()})
-        if mission.scenario.grasps:
-            add = MISSION_PHASES.load("capture", "capture")
-            phases = add(mission, phases, self.held)
-        if len(closing_times(mission.scenario)) > 1:
-            add = MISSION_PHASES.load("later_hands", "contacts.closes")
-            phases = add(mission, phases, self.held)
-        return phases
-
-    def held(self, closed: float = 0.0) -> ClosedLoop:
-        """The loop with the hands on the target that have closed up to a time after the grasp."""
-        return self._loops[Grip(closed=closed)].loop
-
     @property
     def loop(self) -> ClosedLoop:
         """The closed loop with all hands on the target."""
-        return self.held(closing_times(self._mission.scenario)[-1])
+        return self._loops[Grip(closed=closing_times(self._mission.scenario)[-1])].loop
 
     def release(self) -> None:
         """As ``Rollout.release``."""

@@ -57,8 +57,12 @@ class Stage:
         return self.loop.blocks[block].GetMyMutableContextFromRoot(self.root)
 
     def block(self, name: str) -> Any:
-        """Return a ``Sampled`` block."""
+        """Return a ``Sampled`` block, or the contacts."""
         return self.loop.blocks[name].block
+
+    def exchange(self, name: str, block: Any) -> None:
+        """Put contacts with the same ports in their place, before ``place``."""
+        self.loop.blocks[name].exchange(block)
 
     def memory(self, block: str) -> Arrays:
         """Return the memory of a ``Sampled`` block."""

@@ -8,6 +8,7 @@ import numpy as np
 from ffsm_drake.common.registrations import Registry
 from ffsm_drake.mission import Mission
 from ffsm_drake.scenario import Grip, Scenario
+from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -36,6 +37,11 @@ class ClosedChains(Protocol):
         it does not.
 
         Args: ..., what holds the target, and the number of poles of the linear loop at one.
+        """
+
+    def beyond(self, mission: Mission, state: np.ndarray, grip: Grip, envelope: Envelope) -> str:
+        """Return the part of the miss of a grip's hands beyond an envelope, in words, at the true
+        plant's own [q; v]; empty: they hold.
         """
 
 

@@ -102,6 +102,7 @@ class Structure:
     quantized: bool  # the force
     waits: int  # samples from a force to its effect
     limp: bool  # a constant force acts on the joints, not the actuators'
+    hands: bool  # more than one holds the target, in this phase or in a later one
     scheme: str
 
 
@@ -201,6 +202,11 @@ class Blocks(Structure):
         return {"applied_force": self.nv, "push": push, "acted": sum(self.acted.values())}
 
     @property
+    def keeps(self) -> bool:
+        """Whether a last force or a detector reads what was held before a sample."""
+        return bool(self.parts.last or self.gyrates or self.hands)
+
+    @property
     def pushes_hidden(self) -> bool:
         """Whether a force acts on hidden coordinates."""
         outputs = [each.outputs for each in self.parts.forces.values()]
@@ -254,7 +260,7 @@ class Blocks(Structure):
             "memory": total(self.memory), "applied": self.nv, "drift": self.num_drifts,
             "waiting": self.waits * self.nv, **kept,
             "touch": sum(map(total, self.touches.values())),
-            "held_before": sum(self.held.values()) if self.parts.last or self.gyrates else 0,
+            "held_before": sum(self.held.values()) if self.keeps else 0,
             "commanded": watched * self.nv, "requested": watched * self.found("abort_request"),
             "corrected": sum(self.corrects.values()),
         }  # fmt: skip

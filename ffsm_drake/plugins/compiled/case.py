@@ -28,6 +28,7 @@ from ffsm_drake.plugins.compiled.schemes import steps_of
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.controllers import controller_names, make_controller
 from ffsm_drake.systems.disturbance import sines_of
 from ffsm_drake.systems.faults import settle_faults
@@ -140,6 +141,7 @@ class Case:
             quantized=bool(self.parameters["force_resolution"].any()),
             waits=self.scenario.actuation.delay,
             limp=is_limp,
+            hands=len(self.scenario.contacts) > 1,
             scheme=self.scenario.simulator_config.integration_scheme,
         )
 
@@ -183,6 +185,14 @@ class Case:
         own = reader_of(self.true).parameters(other.true.context)
         found = parameters_of(other.parts, "blocks").values
         other.parameters = self.parameters | {"own": own, "parts": found}
+        return other
+
+    def exchanging(self, name: str, block: Continuous) -> "Case":
+        """The same with another last force."""
+        other = copy.copy(self)
+        other.parts = self.parts._replace(last=frozen({**self.parts.last, name: block}))
+        found = parameters_of(other.parts, "blocks").values
+        other.parameters = self.parameters | {"parts": found}
         return other
 
     def _drift_at_start(self) -> np.ndarray:

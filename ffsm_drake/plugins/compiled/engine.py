@@ -64,8 +64,6 @@ class Compiled(Engine):
         own = replaced | {name for name, is_there in (
             ("faults.detection with capture.approach",
              scenario.approach is not None and detects(scenario)),
-            ("contacts with capture.approach", scenario.contacts and scenario.approach),
-            ("contacts that close later", closing_times(scenario)[1:]),
             ("error control", config.use_error_control),
             ("a real-time clock", config.target_realtime_rate > 0.0),
             (f"integration_scheme {config.integration_scheme}",
@@ -108,7 +106,7 @@ class Compiled(Engine):
             scenario = mission.scenario
             try:
                 self.check(scenario)
-                if scenario.approach is not None:
+                if scenario.approach is not None or closing_times(scenario)[1:]:
                     lanes[index] = Lane(mission)
                     continue
                 if (same := all_but_controller(scenario)) not in cases:

@@ -23,7 +23,7 @@ from ffsm_drake.plugins.compiled.stage import LaneStage
 from ffsm_drake.runs.ending import COMPLETED, Outcome
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.phases import MISSION_PHASES, Course, Phase, Phases, Stop
+from ffsm_drake.runs.phases import Course, Phase, phases_of_mission
 
 NUDGE = 1.0 + np.finfo(float).eps  # changes last bits
 _LEFT = "its fault detection isolates a unit, or it diverges"
@@ -46,7 +46,7 @@ class Lane:
     ) -> None:
         """Args:
           mission: the mission.
-          own: the run, unless it has an approach.
+          own: the run, unless it has several phases.
           signals: those that its log needs; None: all.
           nudge: factor of its first state.
 
@@ -54,10 +54,7 @@ class Lane:
         """
         self.mission, self.own, self.signals = mission, own, signals
         self._nudge, self._start = nudge, time.perf_counter()
-        phases = Phases(kinds={"": Stop()})
-        if mission.scenario.grasps:
-            phases = MISSION_PHASES.load("capture", "capture")(mission, phases, None)
-        self._course = Course(phases, mission)
+        self._course = Course(phases_of_mission(mission), mission)
         # what a run that is lost has for its log
         is_detected = own is not None and own.case.made.detector is not None
         self.lost = NotCovered(_LEFT) if is_detected else None
@@ -91,7 +88,8 @@ class Lane:
             raise NotCovered(f"the block {min(others)} of a phase")
         first, last = self._course.sample, phase.names[-1][1]
         run = self.own or self._run_of(phase)
-        begin = LaneState(run.states if self.own else {}, first, first)
+        is_held = first == 0 and phase.grip.holds  # else its phase places it
+        begin = LaneState(run.states if is_held else {}, first, first)
         self._phase, self._stage, self.kind = phase, LaneStage(run, begin), self._course.kind
         self._course.enter(phase, self._stage)
         self._stage.follow()
@@ -150,7 +148,7 @@ class Lane:
 
     @property
     def changes(self) -> set[Hashable]:
-        """A run without approach, or pairs of successive phases: each is compared with Drake
+        """A run of one phase, or pairs of successive phases: each is compared with Drake
         once.
         """
         if self.own is not None:

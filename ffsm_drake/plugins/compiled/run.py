@@ -89,12 +89,15 @@ class Run:
         """The true plant, for many configurations at once."""
         return posed_model(self.mission.craft.flexible())
 
+    def on(self, case: Case) -> "Run":
+        """The same on a case that differs in numbers."""
+        other = copy.copy(self)
+        other.case, other.parameters = case, self.parameters | case.parameters
+        return other
+
     def carrying(self, payload: MassProperties) -> "Run":
         """See Case."""
-        other = copy.copy(self)
-        other.case = self.case.carrying(payload)
-        other.parameters = self.parameters | other.case.parameters
-        return other
+        return self.on(self.case.carrying(payload))
 
     def _call_law(self, why: str) -> None:
         self._lay_out(np.zeros(0), (), 0, called=why)

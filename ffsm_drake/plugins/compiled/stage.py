@@ -1,6 +1,7 @@
 """The loop of a phase in a compiled run, as kinds of phases see it."""
 
 from collections.abc import Collection, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,8 @@ from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.systems.sampled import Arrays, Sampled
+from ffsm_drake.systems.continuous import Continuous
+from ffsm_drake.systems.sampled import Arrays
 
 
 class LaneStage(Stage):
@@ -32,9 +34,10 @@ class LaneStage(Stage):
         return self.run.coordinates
 
     @property
-    def blocks(self) -> Mapping[str, Sampled]:
+    def blocks(self) -> Mapping[str, Any]:
         """See Stage."""
-        return {f"forces.{name}": block for name, block in self.run.case.parts.forces.items()}
+        of = self.run.case.parts
+        return {f"forces.{name}": block for name, block in {**of.forces, **of.last}.items()}
 
     @property
     def state(self) -> np.ndarray:
@@ -47,6 +50,12 @@ class LaneStage(Stage):
         return self._measured
 
     @property
+    def desired(self) -> np.ndarray:
+        """See Stage."""
+        row: np.ndarray = self.run.case.planned["reference"][self.begin.sample]
+        return row[: -len(self.coordinates.names)]
+
+    @property
     def _plant(self) -> int:
         return int(self.run.case.true.plant.num_multibody_states())
 
@@ -54,11 +63,15 @@ class LaneStage(Stage):
         """See Stage."""
         return self.run.mission.craft.flexible(self.run.case.nominal.grip)
 
-    def block(self, name: str) -> Sampled:
+    def block(self, name: str) -> Any:
         """See Stage."""
         if name == "reference" and (own := self.run.case.made.reference) is not None:
             return own.block
         return self.blocks[name]
+
+    def exchange(self, name: str, block: Continuous) -> None:
+        """See Stage."""
+        self.run = self.run.on(self.run.case.exchanging(name.removeprefix("forces."), block))
 
     def memory(self, block: str) -> Arrays:
         """See Stage."""
@@ -105,12 +118,19 @@ class LaneStage(Stage):
         cells = dict(before.begin.cells)
         cells["x"] = np.concatenate([own["x"][:plant], cells["x"][plant:]])
         cells.pop("touch")  # zero: the gripper of the phase before has no effect
+        kept = {
+            name: cells["corrected"][place]
+            for name, place in parts(before.run.blocks.corrects).items()
+            if f"forces.{name}" not in afresh
+        }
+        corrects = self.run.blocks.corrects
+        cells["corrected"] = row(kept.get(name, np.zeros(n)) for name, n in corrects.items())
         first_at = before.begin.first_at
         if "controller" in afresh:
             first_at, cells["memory"] = self.begin.sample, own["memory"]
         elif reference is not None:
             first_at = self.begin.sample
-            law, like = before.run.law, self.run.blocks.memory
+            law, like = before.run.law, before.run.blocks.memory
             memory = {
                 name: cells["memory"][place].reshape(like[name].shape)
                 for name, place in parts(sizes_of(like)).items()

@@ -5,18 +5,24 @@ import functools
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from pydrake.systems.framework import Context, System
-from pydrake.systems.primitives import Adder, ConstantVectorSource, Gain
+from pydrake.systems.framework import System
+from pydrake.systems.primitives import Adder, Gain
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.numbers import short
 from ffsm_drake.loop import blocks
-from ffsm_drake.plugins.two_arms.flow import GAP, WRENCHES, ContactFlow, contact_flow
+from ffsm_drake.plugins.two_arms.flow import (
+    CLOSING,
+    CLOSING_UNITS,
+    GAP,
+    LOSS,
+    WRENCHES,
+    ContactFlow,
+    contact_flow,
+)
 from ffsm_drake.scenario import Grip, Scenario
-from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.scenario.contacts import ALL_HANDS, WRENCH, Contact, closing_contacts
-from ffsm_drake.spacecraft.coordinates import Coordinates, halves
-from ffsm_drake.spacecraft.grasp import plastic_impact
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import Limit
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.continuous import InstantSystem
@@ -26,17 +32,6 @@ from ffsm_drake.systems.parts.signals import INTERNAL_WORK, Signal, View
 from ffsm_drake.systems.sensing.noise import Noise
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 
-CLOSING, LOSS = "contact_closing", "contact_loss"  # where late hands grasp
-_CLOSING = {
-    "linear_impulse": "N s",
-    "angular_impulse": "N m s",
-    "linear_momentum_change": "N s",
-    "angular_momentum_change": "N m s",
-    "angle": "rad",
-    "distance": "m",
-    "rate": "rad/s",
-    "speed": "m/s",
-}
 _FIGURES = {
     "linear_impulse": "impulse",
     "angular_impulse": "angular impulse",
@@ -71,11 +66,9 @@ class Contacts(Part):
         return ContactForce(setup)
 
     def flow(self, setup: BlockSetup) -> ContactFlow | None:
-        """The force for compiled runs. None: they do not cover flexible parts, springs, noise and
-        hands that close later.
-        """
+        """The force for compiled runs; None with flexible parts, springs or noise."""
         is_plain = all(
-            each.kind == "rigid" and not (each.closes or each.moment_noise or each.force_noise)
+            each.kind == "rigid" and not (each.moment_noise or each.force_noise)
             for each in closing_contacts(setup.scenario, setup.grip).values()
         )
         return contact_flow(setup) if is_plain and not setup.scenario.model.flexible else None
@@ -89,7 +82,7 @@ class Contacts(Part):
                 unit="see component",
                 meaning="latest contact: size of the impulse of the hand on the target, of the "
                 "change of total momentum, and of the miss before it; 0: no contact yet",
-                components=tuple(_CLOSING),
+                components=tuple(CLOSING_UNITS),
                 held=False,
                 heading="",
             ),
@@ -192,7 +185,7 @@ class Contacts(Part):
     @staticmethod
     def _of_closings() -> Iterator[Metric]:
         """Largest figures over the closings of late hands, and the energy lost in all of them."""
-        for k, (name, unit) in enumerate(_CLOSING.items()):
+        for k, (name, unit) in enumerate(CLOSING_UNITS.items()):
             if name in _FIGURES:
                 yield Metric(
                     key=f"contacts.closing.{name}",
@@ -247,81 +240,26 @@ class ContactForce(CompositeBlock):
         period, contacts = setup.sample_time, closing_contacts(setup.scenario, setup.grip)
         flow = contact_flow(setup)
         _check_step(setup.scenario, flow, contacts)
-        made: dict[str, ConstantVectorSource] = {}
-        if any(each.closes for each in contacts.values()):
-            made[CLOSING] = ConstantVectorSource(np.zeros(len(_CLOSING)))
-            made[LOSS] = ConstantVectorSource(np.zeros(1))
         contact = InstantSystem(flow, name="contact", sample_time=period)
-        systems: dict[str, System] = {"contact": contact, **made}
-        signals = {name: {"y0": name} for name in made}
+        systems: dict[str, System] = {"contact": contact}
+        signals = dict[str, dict[str, str]]()
         noise = np.repeat([[each.moment_noise, each.force_noise] for each in contacts.values()], 3)
         if noise.any():
             systems["noise"] = Noise("noise", Gain(noise), sample_time=period)
             systems["noisy"] = Adder(2, noise.size)
             signals["noisy"] = {"u0": blocks.WRENCH, "u1": "noise", "sum": blocks.WRENCH}
-        shown = (*flow.outputs, *made)
+        shown = flow.outputs
         super().__init__("contacts", systems, inputs=flow.inputs, outputs=shown, signals=signals)
-        self._flow, self._contact, self._made = flow, contact, made
+        self._flow, self._contact = flow, contact
 
-    def beyond(self, state: np.ndarray, envelope: Envelope) -> str:
-        """The part of a hand's miss beyond an envelope, in words, at the plant's own [q; v]; empty
-        where it holds.
-        """
-        angle, distance, rate, speed = self._miss(state).values()
-        return envelope.beyond(
-            position=distance, angle=angle, velocity=speed, angular_velocity=rate
-        )
+    @property
+    def block(self) -> ContactFlow:
+        """The force, with the payload that the scenario carries then."""
+        return self._flow
 
-    def hold(self, state: np.ndarray) -> None:
-        """Hold the hands where they are at the plant's own [q; v]."""
-        q, model = halves(state)[0], self._flow.model
-        closures = tuple(each.met(model, q) for each in self._flow.closures)
-        self._contact.exchange(dataclasses.replace(self._flow, closures=closures))
-
-    def close(self, context: Context, state: np.ndarray, *, work: float) -> np.ndarray:
-        """The plant's own [q; v] after late hands have closed where they are; rigid ones by a
-        plastic impact.
-
-        Args: the system's context; the state before; work of the closings before, J.
-        """
-        self.hold(state)
-        flow = self._contact.block_at(self.GetSubsystemContext(self._contact, context))
-        (q, v), model, multipliers = halves(state), flow.model, np.zeros(flow.gains.shape[1])
-        rows, H = flow.jacobian(q)[flow.rigid], model.calc_mass_matrix(q)
-        after, multipliers[flow.rigid] = plastic_impact(H, rows, v)
-        momenta = list[np.ndarray]()
-        for each in (v, after):
-            model.plant.SetVelocities(model.context, each)
-            momentum = model.plant.CalcSpatialMomentumInWorldAboutPoint(model.context, np.zeros(3))
-            momenta.append(momentum.get_coeffs())
-        ledger = self._miss(state)
-        for kind, wrench in (
-            ("impulse", flow.wrench(multipliers)),
-            ("momentum_change", momenta[1] - momenta[0]),
-        ):
-            angular, linear = _largest_of(wrench)
-            ledger |= {f"angular_{kind}": angular, f"linear_{kind}": linear}
-        loss = 0.5 * float((v - after) @ H @ (v + after))
-        values = {CLOSING: [ledger[name] for name in _CLOSING], LOSS: [work - loss]}
-        for name, source in self._made.items():
-            own = self.GetMutableSubsystemContext(source, context)
-            source.get_mutable_source_value(own).set_value(np.array(values[name]))
-        return np.concatenate([q, after])
-
-    def _miss(self, state: np.ndarray) -> dict[str, float]:
-        """The largest distance of a hand from its place, and its motion there, at the plant's own
-        [q; v]: ``angle`` (rad), ``distance`` (m), ``rate`` (rad/s), ``speed`` (m/s).
-        """
-        (q, v), flow = halves(state), self._flow  # not where an earlier run has closed
-        gap, rate = flow.wrench(flow.gap(q)), flow.wrench(flow.jacobian(q) @ v)
-        sizes = (*_largest_of(gap), *_largest_of(rate))
-        return dict(zip(("angle", "distance", "rate", "speed"), sizes, strict=True))
-
-
-def _largest_of(pairs: np.ndarray) -> list[float]:
-    """The largest sizes of the first and of the second vectors (3) of pairs (6 each)."""
-    found: list[float] = np.linalg.norm(pairs.reshape(-1, 2, 3), axis=2).max(axis=0).tolist()
-    return found
+    def exchange(self, block: ContactFlow) -> None:
+        """Let another force act. The block stays."""
+        self._contact.exchange(block)
 
 
 def _check_step(scenario: Scenario, flow: ContactFlow, contacts: Mapping[str, Contact]) -> None:

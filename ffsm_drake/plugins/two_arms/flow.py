@@ -17,6 +17,17 @@ from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.setup import BlockSetup
 
 WRENCHES, GAP = "contact_wrench", "contact_gap"
+CLOSING, LOSS = "contact_closing", "contact_loss"  # where late hands grasp
+CLOSING_UNITS = {
+    "linear_impulse": "N s",
+    "angular_impulse": "N m s",
+    "linear_momentum_change": "N s",
+    "angular_momentum_change": "N m s",
+    "angle": "rad",
+    "distance": "m",
+    "rate": "rad/s",
+    "speed": "m/s",
+}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -36,6 +47,8 @@ class ContactFlow(Constraints, Continuous):
     gains: np.ndarray  # (2, m) of the correction, on the gap and on its rate
     stiffness: np.ndarray  # (s, m) K
     damping: np.ndarray  # (s, m) D
+    # the latest closing of late hands, as ``CLOSING_UNITS``, and the work of all, J; none: empty
+    ledger: np.ndarray
 
     @property
     def inputs(self) -> Mapping[str, int]:
@@ -50,11 +63,18 @@ class ContactFlow(Constraints, Continuous):
         """See Continuous."""
         nv = self.model.coordinates.num_velocities
         shown = dict.fromkeys((WRENCHES, GAP, WRENCH), 6 * len(self.closures))
-        return {"generalized_force": nv, **shown}
+        late = {CLOSING: self.ledger.size - 1, LOSS: 1} if self.ledger.size else {}
+        return {"generalized_force": nv, **shown, **late}
 
     def with_payload(self, properties: MassProperties) -> "ContactFlow":
         """See InstantSystem."""
         return dataclasses.replace(self, model=self.craft.loaded(self.model, properties))
+
+    def met(self, state: np.ndarray) -> "ContactFlow":
+        """The force that holds the hands where they are at the plant's own [q; v]."""
+        q = halves(state)[0]
+        closures = tuple(each.met(self.model, q) for each in self.closures)
+        return dataclasses.replace(self, closures=closures)
 
     def correct(self, inputs: Arrays) -> Any:
         """See Continuous."""
@@ -79,6 +99,7 @@ class ContactFlow(Constraints, Continuous):
         return {
             "generalized_force": split.known_velocities(multipliers @ A),
             WRENCHES: wrench, GAP: self.wrench(gap), WRENCH: wrench,
+            CLOSING: self.ledger[:-1], LOSS: self.ledger[-1:],
         }, {}  # fmt: skip
 
     def _split(self, inputs: Arrays) -> Any:
@@ -116,6 +137,7 @@ def contact_flow(setup: BlockSetup) -> ContactFlow:
         gains=np.array([((1.0 - p) / h) ** 2, (1.0 - p) * (3.0 + p) / (2.0 * h)]),
         stiffness=along(_stiffness)[~is_rigid],
         damping=along(_damping)[~is_rigid],
+        ledger=np.zeros((len(CLOSING_UNITS) + 1) * any(loop.contact.closes for loop in loops)),
     )
 
 

@@ -11,29 +11,35 @@ its memory, in the velocities of the chain.
 
 import dataclasses
 import functools
-from typing import Any
 
 import numpy as np
 
-from ffsm_drake.loop.closed_loop import ClosedLoop
 from ffsm_drake.mission import Mission
-from ffsm_drake.plugins.two_arms.contact import CLOSING, LOSS
-from ffsm_drake.plugins.two_arms.flow import GAP, WRENCHES
+from ffsm_drake.plugins.two_arms.chain import ClosedChain, Constraints
+from ffsm_drake.plugins.two_arms.flow import (
+    CLOSING,
+    CLOSING_UNITS,
+    GAP,
+    LOSS,
+    WRENCHES,
+    ContactFlow,
+)
 from ffsm_drake.runs.ending import MISSED
 from ffsm_drake.runs.log import RunLog
-from ffsm_drake.runs.phases import HeldLoops, Phase, Phases, Situation, Stop
+from ffsm_drake.runs.phases import Phase, Phases, Situation, Stop
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.scenario.contacts import ALL_HANDS, Grip, closing_contacts, closing_times
+from ffsm_drake.spacecraft.coordinates import halves
+from ffsm_drake.spacecraft.grasp import plastic_impact
 
 _BLOCK, _FORCE, _OTHER = "forces.contacts", "force_contacts", "force_disturbance"
 
 
-def phases_of_later_hands(mission: Mission, before: Phases, held: HeldLoops | None) -> Phases:
+def phases_of_later_hands(mission: Mission, before: Phases) -> Phases:
     """Return the phases of a mission, and one from each closing of a late hand to the next."""
     scenario = mission.scenario
-    assert held is not None
     times = closing_times(scenario)[1:]
     ends = [round((scenario.grasp_time + time) / scenario.sample_time) for time in times]
     kinds = {
@@ -46,9 +52,7 @@ def phases_of_later_hands(mission: Mission, before: Phases, held: HeldLoops | No
         times, [*zip(ends[1:], times[1:], strict=True), (None, None)], strict=True
     ):
         then = "" if following is None else f"hand {following:g}"
-        kinds[f"hand {time:g}"] = Hand(
-            until=until, then=then, time=time, scenario=scenario, held=held(time)
-        )
+        kinds[f"hand {time:g}"] = Hand(until=until, then=then, time=time, mission=mission)
     complete = functools.partial(_complete, scenario)
     return dataclasses.replace(before, kinds=kinds, complete=complete)
 
@@ -58,33 +62,89 @@ class Hand(Stop):
     """A hand closes on the target, unless it is too far from its place."""
 
     time: float  # after the grasp, s
-    scenario: Scenario
-    held: ClosedLoop  # of the phase
+    mission: Mission
 
     def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
         """See PhaseKind."""
-        scenario, block = self.scenario, self.held.blocks[_BLOCK]
+        scenario, grip = self.mission.scenario, Grip(closed=self.time)
         envelope = Envelope() if scenario.capture is None else scenario.capture.envelope
-        beyond = block.beyond(now.stage.state, envelope)
-        if not beyond:
-            names = (("stop", self.until),)
-            return Phase(names=names, grip=Grip(closed=self.time), afresh=(_BLOCK,)), now
+        missed = beyond(self.mission, now.stage.state, grip, envelope)
+        if not missed:
+            return Phase(names=(("stop", self.until),), grip=grip, afresh=(_BLOCK,)), now
         (name, *_) = (name for name, each in scenario.contacts.items() if each.closes == self.time)
         at = f"t = {now.sample * scenario.sample_time:g} s"
-        missed = f"the hand of contacts.{name} misses its place at {at}: {beyond}"
+        missed = f"the hand of contacts.{name} misses its place at {at}: {missed}"
         return None, now.failing(MISSED, missed)
 
     def enter(self, now: Situation, phase: Phase, stage: Stage) -> Situation:
         """Close the hands of the phase."""
+        payload = self.mission.scenario.payload.truth
         if now.made is not None:
-            stage.carry(now.made.payload)
+            stage.carry(payload := now.made.payload)
         series = now.logs[-1].series
         work = series[LOSS][-1].item() if LOSS in series else 0.0
-        hands: Any = stage.blocks[_BLOCK]
-        state = hands.close(stage.context(_BLOCK), now.stage.state, work=work)
+        flow = stage.block(_BLOCK).with_payload(payload)
+        flow, state = closed(flow, now.stage.state, work=work)
+        stage.exchange(_BLOCK, flow)
         stage.place(state)
         stage.resume(now.stage, stage.desired, afresh=phase.afresh)
         return now
+
+
+def closed(flow: ContactFlow, state: np.ndarray, *, work: float) -> tuple[ContactFlow, np.ndarray]:
+    """The force after late hands have closed where they are, and the plant's own [q; v]; rigid ones
+    close by a plastic impact.
+
+    Args: the force of the hands, with their places; the state before; work of the closings
+      before, J.
+    """
+    (q, v), model, multipliers = halves(state), flow.model, np.zeros(flow.gains.shape[1])
+    rows, H = flow.jacobian(q)[flow.rigid], model.calc_mass_matrix(q)
+    after, multipliers[flow.rigid] = plastic_impact(H, rows, v)
+    momenta = list[np.ndarray]()
+    for each in (v, after):
+        model.plant.SetVelocities(model.context, each)
+        momentum = model.plant.CalcSpatialMomentumInWorldAboutPoint(model.context, np.zeros(3))
+        momenta.append(momentum.get_coeffs())
+    figures = _miss(flow, state)
+    for kind, wrench in (
+        ("impulse", flow.wrench(multipliers)),
+        ("momentum_change", momenta[1] - momenta[0]),
+    ):
+        angular, linear = _largest_of(wrench)
+        figures |= {f"angular_{kind}": angular, f"linear_{kind}": linear}
+    loss = 0.5 * float((v - after) @ H @ (v + after))
+    ledger = np.array([*(figures[name] for name in CLOSING_UNITS), work - loss])
+    return dataclasses.replace(flow.met(state), ledger=ledger), np.concatenate([q, after])
+
+
+def beyond(mission: Mission, state: np.ndarray, grip: Grip, envelope: Envelope) -> str:
+    """See ``ClosedChains``."""
+    model = mission.craft.flexible(grip)
+    chain = ClosedChain(model, mission.scenario, grip, true=True)
+    if not chain.loops:
+        return ""
+    miss = _miss(chain.constraints, state)
+    return envelope.beyond(
+        position=miss["distance"], angle=miss["angle"], velocity=miss["speed"],
+        angular_velocity=miss["rate"],
+    )  # fmt: skip
+
+
+def _miss(hands: Constraints, state: np.ndarray) -> dict[str, float]:
+    """The largest distance of a hand from its place, and its motion there, at the plant's own
+    [q; v]: ``angle`` (rad), ``distance`` (m), ``rate`` (rad/s), ``speed`` (m/s).
+    """
+    q, v = halves(state)
+    gap, rate = hands.wrench(hands.gap(q)), hands.wrench(hands.jacobian(q) @ v)
+    sizes = (*_largest_of(gap), *_largest_of(rate))
+    return dict(zip(("angle", "distance", "rate", "speed"), sizes, strict=True))
+
+
+def _largest_of(pairs: np.ndarray) -> list[float]:
+    """The largest sizes of the first and of the second vectors (3) of pairs (6 each)."""
+    found: list[float] = np.linalg.norm(pairs.reshape(-1, 2, 3), axis=2).max(axis=0).tolist()
+    return found
 
 
 def _complete(scenario: Scenario, logs: tuple[RunLog, ...]) -> tuple[RunLog, ...]:

@@ -210,16 +210,16 @@ class _Follower:
         turn, place = np.split(self._first, [4])
         return np.concatenate([turned_by(along @ self._turns, turn), place + along @ self._ways])
 
-    def _off(self, s: float, q: np.ndarray) -> np.ndarray:
-        """Rotation vector and position (6) from the target's pose to that at s."""
-        return position_error(self._pose(s), self.model.calc_frame_pose(q, self._target))
+    def _off(self, pose: np.ndarray, q: np.ndarray) -> np.ndarray:
+        """Rotation vector and position (6) from the target's pose to another one (7)."""
+        return position_error(pose, self.model.calc_frame_pose(q, self._target))
 
     def error(self, s: np.ndarray, joints: np.ndarray) -> float:
         """The largest error (m, rad) of the target's pose or a gap, for joints (m, n) at s (m)."""
         worst = 0.0
         for each, q in zip(s, joints, strict=True):
             whole = self._rooted(np.concatenate([np.zeros(7), q]))
-            worst = max(worst, np.abs(self._off(each, whole)).max())
+            worst = max(worst, np.abs(self._off(self._pose(each), whole)).max())
             worst = max(worst, np.abs(self._chain.gap(whole)).max(initial=0.0))
         return worst
 
@@ -234,13 +234,13 @@ class _Follower:
     def _follow(self, s: float, q: np.ndarray) -> np.ndarray:
         """The configuration at a path parameter, from one nearby."""
         chain, q = self._chain, q.copy()
-        arm = chain.carrying
-        off = self._off(s, q)
+        arm, pose = chain.carrying, self._pose(s)
+        off = self._off(pose, q)
         for _ in range(_STEPS):
             if np.abs(off).max() < _REACHED:
                 break
             q[arm + 1] += newton_step(self.model.calc_jacobian(q, self._target)[:, arm], off)
-            off = self._off(s, q)
+            off = self._off(pose, q)
         if not np.abs(off).max() < 1e-9:
             raise self._refused(s, "the hand that carries the target does not reach")
         return self.close(s, q, chain.loops)

@@ -59,10 +59,10 @@ def test_what_is_not_covered_is_refused_in_a_line_with_the_remedy(given, more, s
 
 def test_the_command_refuses_in_a_line_and_repeats_with_the_engine_of_the_run(tmp_path):
     words = ["--no-report", "--engine", "compiled", "--out", str(tmp_path / "run")]
-    late = ["two_arms", "--set", "contacts.right.closes=3"]
-    refused = CliRunner().invoke(main, ["run", *late, *words])
+    noisy = ["two_arms", "--set", "contacts.right.force_noise=1"]
+    refused = CliRunner().invoke(main, ["run", *noisy, *words])
     assert refused.exit_code == 2
-    line = "engine: not covered: contacts that close later; use the engine drake"
+    line = "engine: not covered: forces.contacts; use the engine drake"
     assert refused.stderr.splitlines()[-1] == f"error: {line}"
     short = ["--set", "duration=0.1", "--set", "tolerance={joints: 1}"]
     assert CliRunner().invoke(main, ["run", *short, *words]).exit_code == 0

@@ -12,6 +12,7 @@ from ffsm_drake import RunRecord, Scenario, ScenarioError, load_scenario, make_t
 from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.plugins.two_arms.contact import ContactForce
+from ffsm_drake.plugins.two_arms.hand import beyond, closed
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import Grip
 from ffsm_drake.scenario.capture import Envelope
@@ -105,7 +106,10 @@ def test_any_closing_is_plastic(seed: int) -> None:
     q = np.concatenate([generator.normal(size=4), generator.uniform(-1.5, 1.5, 15)])
     q[:4] /= np.linalg.norm(q[:4])
     v = generator.uniform(-0.3, 0.3, 18)
-    after = block.close(context, np.concatenate([q, v]), work=-0.25)
+    flow, after = closed(block.block, np.concatenate([q, v]), work=-0.25)
+    block.exchange(flow)
+    block.GetInputPort("state").FixValue(context, after)
+    block.GetInputPort("other_force").FixValue(context, np.zeros(18))
     assert np.array_equal(after[:19], q)
     model.plant.SetPositions(model.context, q)
     A = ClosedChain(model, given, grip, true=True).jacobian(q)
@@ -122,11 +126,11 @@ def test_any_closing_is_plastic(seed: int) -> None:
     assert lost > 0.01 or kind == "compliant"
     closing = told["contact_closing"]
     assert closing[2:4].max() < 1e-12
-    block.GetInputPort("state").FixValue(context, after)
-    block.GetInputPort("other_force").FixValue(context, np.zeros(18))
     assert np.abs(block.GetOutputPort("contact_gap").Eval(context)).max() < 1e-13
     tight = Envelope(position=1e-3, angle=1e-3)
-    assert "position" in block.beyond(after, tight)  # from its place, wherever it has closed
+    assert "position" in beyond(
+        Mission(given), after, grip, tight
+    )  # from its place, wherever it has closed
 
 
 @pytest.mark.parametrize("kind", ARMS)

@@ -2,16 +2,15 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
 
 from ffsm_drake.plugins.capture.grasping import Meeting
 from ffsm_drake.plugins.capture.phases.chase import Chase, given_up, met
 from ffsm_drake.runs.ending import MISSED
 from ffsm_drake.runs.phases import Phase, PhaseKind, Situation
 from ffsm_drake.runs.stage import Stage
+from ffsm_drake.scenario import HELD
+from ffsm_drake.systems.closed_chains import CLOSED_CHAINS
 from ffsm_drake.systems.registry import Factory
-
-CONTACTS = "forces.contacts"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -22,7 +21,6 @@ class Approach(PhaseKind):
     blocks: Mapping[str, Factory]
     afresh: tuple[str, ...]
     then: str = ""  # outcome; "": whether the gripper meets the target
-    hands: Any = None  # the block of further hands that grasp with the gripper
 
     def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
         """See PhaseKind."""
@@ -43,8 +41,9 @@ class Approach(PhaseKind):
         envelope = chase.capture.envelope
         message = given_up(now)
         beyond = Meeting.of(chase.scenario, chase.aim.target, now.stage).beyond(envelope)
-        if not beyond and self.hands is not None:
-            beyond = self.hands.beyond(now.stage.state, envelope)
+        if not beyond and len(chase.scenario.contacts) > 1:  # hands that grasp with the gripper
+            chains = CLOSED_CHAINS.only("contacts")
+            beyond = chains.beyond(chase.mission, now.stage.state, HELD, envelope)
         if message or beyond:
             at = f"t = {chase.scenario.grasp_time:g} s"
             message = message or f"the target is missed at {at}: {beyond}"

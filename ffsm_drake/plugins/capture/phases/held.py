@@ -9,7 +9,6 @@ from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.approach import force_share, given_approach
 from ffsm_drake.plugins.capture.contact import payload_body
 from ffsm_drake.plugins.capture.grasping import Aim, Meeting, target_at
-from ffsm_drake.plugins.capture.phases.approach import CONTACTS
 from ffsm_drake.plugins.capture.phases.chase import Chase, phase_of, replaced
 from ffsm_drake.plugins.capture.postures import posture_of
 from ffsm_drake.runs.exceeded_limits import closest_of
@@ -20,6 +19,7 @@ from ffsm_drake.spacecraft.coordinates import halves
 from ffsm_drake.systems.mission_limits import actuation_limit
 from ffsm_drake.systems.reference import make_motion
 
+_CONTACTS = "forces.contacts"
 _PACES = (1.0, 0.87, 1.15, 0.76, 1.32, 0.66, 1.52, 0.57, 0.5)  # tried, times a stop's
 _INSTANTS = 30  # of a stop, at which clearance and force are looked at
 
@@ -45,13 +45,12 @@ class Held(Stop):
         made = meeting.grasp(chase.aim.mission.scenario, stage.model(), chase.path[: now.sample])
         assert made.contact is not None
         state = np.concatenate([meeting.q, made.contact.grasp.velocity])
+        if _CONTACTS in stage.blocks:
+            stage.exchange(_CONTACTS, stage.block(_CONTACTS).met(state))
         stage.place(state)
         stage.resume(now.stage, chase.aim.reference, afresh=phase.afresh)
         # to the blocks, which resume with nothing in the gripper
         stage.carry(made.payload)
-        if CONTACTS in stage.blocks:
-            hands: Any = stage.blocks[CONTACTS]
-            hands.hold(state)
         return dataclasses.replace(now, made=made)
 
 

@@ -9,7 +9,6 @@ so the position error of the arm becomes part of the mass properties of the payl
 import dataclasses
 import functools
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.grasping import Aim, MadeGrasp, grasped_at_start, with_grasp
 from ffsm_drake.plugins.capture.gripper import MOTION
-from ffsm_drake.plugins.capture.phases.approach import CONTACTS, Approach
+from ffsm_drake.plugins.capture.phases.approach import Approach
 from ffsm_drake.plugins.capture.phases.chase import Chase
 from ffsm_drake.plugins.capture.phases.close import Close, free_motion
 from ffsm_drake.plugins.capture.phases.held import Held
@@ -27,7 +26,7 @@ from ffsm_drake.plugins.capture.pictures import show_apart
 from ffsm_drake.plugins.capture.target_filter import Path
 from ffsm_drake.plugins.capture.tracked_target import drawn_path
 from ffsm_drake.runs.log import GraspLog, RunLog
-from ffsm_drake.runs.phases import HeldLoops, Phase, PhaseKind, Phases, Show, Situation
+from ffsm_drake.runs.phases import Phase, PhaseKind, Phases, Show, Situation
 from ffsm_drake.systems.registry import Factory
 
 
@@ -36,15 +35,13 @@ def view_of_target(mission: Mission) -> Show:
     return functools.partial(show_apart, Aim(mission).path[:, :7])
 
 
-def phases_of_capture(mission: Mission, before: Phases, held: HeldLoops | None) -> Phases:
+def phases_of_capture(mission: Mission, before: Phases) -> Phases:
     """Return the phases of a capture, and what follows a target that was not captured."""
     scenario = mission.scenario
-    # the block of further hands that grasp with the gripper
-    hands = None if held is None else held(0.0).blocks.get(CONTACTS)
     if scenario.grasp_time == 0.0:
         return Phases(kinds={"": Held()}, finish=lambda log, now: grasped_at_start(log))
     chase = _chase(mission)
-    kinds: dict[str, PhaseKind] = {**_up_to(chase.aim.sample - chase.closing, mission, hands)}
+    kinds: dict[str, PhaseKind] = {**_up_to(chase.aim.sample - chase.closing, mission)}
     if scenario.closing is None:
         kinds["met"] = Held()
     else:
@@ -55,7 +52,7 @@ def phases_of_capture(mission: Mission, before: Phases, held: HeldLoops | None) 
     return Phases(kinds=kinds, own=chase, finish=_with_target)
 
 
-def _up_to(contact: int, mission: Mission, hands: Any) -> Mapping[str, Approach]:
+def _up_to(contact: int, mission: Mission) -> Mapping[str, Approach]:
     """The scenario's own phases and the approach, up to the sample of the contact: neighbours
     with the same blocks share a loop.
     """
@@ -72,7 +69,7 @@ def _up_to(contact: int, mission: Mission, hands: Any) -> Mapping[str, Approach]
             found[-1] = dataclasses.replace(found[-1], names=names)
         else:
             afresh = tuple({**own, **before})
-            found.append(Approach(names=((name, last),), blocks=own, afresh=afresh, hands=hands))
+            found.append(Approach(names=((name, last),), blocks=own, afresh=afresh))
         before = own
     return {
         str(index or ""): each
