@@ -71,6 +71,10 @@ class PlantModel:
         self._set_state(q)
         return self.plant.CalcMassMatrix(self.context)
 
+    def calc_whole_velocity(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Velocities of all coordinates (..., nv) for v; v itself but in a closed chain."""
+        return v
+
     def calc_apparent_mass_matrix(self, q: np.ndarray) -> np.ndarray:
         """Return the apparent mass matrix (nv, nv) of the known coordinates at high frequency,
         before the springs of the hidden ones act, at q (nq).
@@ -191,10 +195,9 @@ class PlantModel:
         [``calc_frame_pose``; w_WF; v_WF; alpha_WF; a_WF], world axes. Args and errors as
         ``calc_jacobian``.
         """
-        jacobian = self.calc_jacobian(q, frame)
-        twist, acceleration = applied(jacobian, v), applied(jacobian, a)
-        acceleration = acceleration + self.calc_bias_acceleration(q, v, frame)
-        return np.concatenate([self.calc_frame_pose(q, frame), twist, acceleration], axis=-1)
+        pose, jacobian = self.calc_frame_pose(q, frame), self.calc_jacobian(q, frame)
+        acceleration = applied(jacobian, a) + self.calc_bias_acceleration(q, v, frame)
+        return np.concatenate([pose, applied(jacobian, v), acceleration], axis=-1)
 
     def calc_inverse_dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """Return the force H a + C (..., nv) that gives accelerations a (..., nv), N m and N."""

@@ -250,7 +250,8 @@ class Mpc(ControlLaw):
         )
         c, counted = self.solve(sample, now, state)
         force = known + H @ (c - (self.regulator[:, :2] * now.x).sum(axis=-1))
-        force = np.clip(force, -self.limits.force, self.limits.force)
+        if force.size == self.limits.force.size:  # in a chain, tau is known only later
+            force = np.clip(force, -self.limits.force, self.limits.force)
         return force, {**state, **memory, "wheel_momentum": now.momentum, **counted}
 
     def solve(
@@ -290,16 +291,21 @@ class Mpc(ControlLaw):
         limits, found, steps = self.limits, list[_Rows](), self.steps
         rows = np.flatnonzero(np.isfinite(limits.force))
         if rows.size:
-            bound = limits.force[rows]
-            found.append(_Rows(map=change[:, rows], offset=forces[:, rows], bound=bound, hard=1))
+            bound, offset, shared = limits.force[rows], forces, change
+            if hasattr(self.model, "calc_force"):  # a closed chain's, linear in what the law gives
+                units = np.eye(forces.shape[1])
+                taken = np.stack([self.model.calc_force(sample.q, unit) for unit in units])
+                offset, shared = forces @ taken, np.einsum("ji,kjfl->kifl", taken, change)
+            found.append(_Rows(map=shared[:, rows], offset=offset[:, rows], bound=bound, hard=1))
         rows = np.flatnonzero(np.isfinite(limits.rate))
         if rows.size:
             from_c = self.prediction[1]
             ahead = self.prediction_step * np.arange(1, steps + 1)[:, None]
             planned = sample.v_d + ahead * sample.a_d
-            rates = np.zeros((steps, rows.size, *from_c.shape[2:]))
-            rates[:, np.arange(rows.size), :, rows] = -from_c[0, 1:, :, rows]
-            offset = (planned - self.free(now)[0, 1:])[:, rows]
+            units = np.eye(sample.v_d.size)
+            whole = self.model.calc_whole_velocity(sample.q, units)[:, rows]
+            rates = -np.einsum("ji,kfj->kifj", whole, from_c[0, 1:])
+            offset = (planned - self.free(now)[0, 1:]) @ whole
             found.append(_Rows(map=rates, offset=offset, bound=limits.rate[rows]))
         if limits.torque.size:
             motor = limits.share @ now.rotation.T

@@ -91,6 +91,8 @@ class Nmpc(Mpc):
         rate, u, error = motion
         t = self.prediction_step * steps[:, None]
         ahead = t * sample.v_d + 0.5 * t * t * sample.a_d
+        whole = self.model.calc_whole_velocity
+        ahead, error = (whole(sample.q_d, change) for change in (ahead, error))
         attitude = turned_by(-error[:, :3], turned_by(ahead[:, :3], sample.q_d[:4]))
         q = np.hstack([attitude, sample.q_d[4:] + ahead[:, 3:] - error[:, 3:]])
         v = sample.v_d + t * sample.a_d - rate

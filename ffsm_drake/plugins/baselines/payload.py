@@ -37,8 +37,11 @@ class Payload:
     def from_setup(cls, setup: BlockSetup) -> Self:
         """The scenario's payload. Raises ModelError: there is no such body."""
         given = setup.nominal
-        # The whole model, not the reduced one that laws get with an undriven base.
-        model = PlantModel(plant=given.plant, context=given.context, coordinates=given.coordinates)
+        model = given
+        if given.coordinates.undriven:  # the whole model, not the reduced one that laws get
+            model = PlantModel(
+                plant=given.plant, context=given.context, coordinates=given.coordinates
+            )
         body = find_body(given.plant, setup.scenario.payload.body, key="payload.body")
         return cls(model=model, frame=body.body_frame())
 

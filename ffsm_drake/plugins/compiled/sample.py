@@ -193,6 +193,8 @@ def _covered(mission: Mission, before: Mission, grip: Grip) -> Run:
     """The run whose sample it is. Arguments: see ``TracedSample``. Raises NotCovered."""
     scenario, given = mission.scenario, before.scenario
     Compiled().check(scenario)
+    if scenario.actuation.thrusters is not None:  # a loop chooses them
+        raise NotCovered("thrusters")
     unlimited = dataclasses.replace(given.actuation, limit=scenario.actuation.limit)
     is_alike = dataclasses.replace(given, actuation=unlimited) == scenario
     own = before if is_alike else mission

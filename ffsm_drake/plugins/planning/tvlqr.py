@@ -99,21 +99,29 @@ class Tvlqr(ControlLaw):
             )
         law = cls(**field_values(cls, setup))
         settings = {**setup.settings}
+        if len(setup.coordinates.names) < len(setup.craft.coordinates.names):  # in a chain
+            return dataclasses.replace(law, gains=_regulated(law, setup.mission, setup.grip))
         return dataclasses.replace(law, gains=_gains_of(setup.mission, setup.grip, settings))
 
 
 @planned  # used by a run, its prediction and its stability
 def _gains_of(mission: Mission, grip: Grip, settings: Mapping[str, Any]) -> np.ndarray:
     """K_k (samples, nv, 2 nv) until the end of the planned motion."""
-    model, scenario = driven_model(mission.craft.nominal(grip)), mission.scenario
-    setup = BlockSetup(name=scenario.controller, mission=mission, nominal=model, settings=settings)
-    law = Tvlqr(**field_values(Tvlqr, setup))
+    model, name = driven_model(mission.craft.nominal(grip)), mission.scenario.controller
+    setup = BlockSetup(name=name, mission=mission, nominal=model, settings=settings)
+    return _regulated(Tvlqr(**field_values(Tvlqr, setup)), mission, grip)
+
+
+def _regulated(law: Tvlqr, mission: Mission, grip: Grip) -> np.ndarray:
+    """K_k of a law without them."""
+    model, scenario = law.model, mission.scenario
     motion, period = make_motion(mission, grip), scenario.sample_time
     last, nv = max(1, round(motion.end / period)), law.error_size.size
-    known = [
-        linearized(model, *motion.evaluate(time))
-        for time in np.linspace(0.0, last * period, _INSTANTS)
-    ]
+    own = mission.craft.coordinates.indices(model.coordinates.names, key="controller")
+    known = []
+    for time in np.linspace(0.0, last * period, _INSTANTS):
+        q, v, a = motion.evaluate(time)
+        known.append(linearized(model, q, v[own], a[own]))
     weight = np.diag(np.concatenate([law.error_size, law.rate_size]) ** -2.0)
     effort = np.diag(law.force_size**-2.0)
     gains = np.empty((last + 1, nv, 2 * nv))
@@ -149,7 +157,9 @@ def linearized(
     by_q, by_v = np.zeros((nv, nv)), np.zeros((nv, nv))
     for i in range(nv):
         one = _STEP * np.eye(nv)[i]
-        by_q[:, i] = (model.calc_inverse_dynamics(moved(q, one), v, a) - force) / _STEP
+        by_q[:, i] = (
+            model.calc_inverse_dynamics(moved(q, model.calc_whole_velocity(q, one)), v, a) - force
+        ) / _STEP
         by_v[:, i] = (model.calc_inverse_dynamics(q, v + one, a) - force) / _STEP
     inverse = np.linalg.inv(mass_matrix)
     a_q, a_v = -inverse @ by_q, -inverse @ by_v

@@ -95,7 +95,9 @@ class TaskTimeDelay(AccelerationLaw):
         mass_matrix = self.model.calc_mass_matrix(sample.q)
         estimate, estimator_memory = self.estimator.step(sample, mass_matrix, state)
         driven = self.task_space.driven
-        point = self.task_space.at(_at_estimate(sample, estimate, driven), damping=self.damping)
+        point = self.task_space.at(
+            _at_estimate(sample, estimate, self.task_space), damping=self.damping
+        )
         u, dynamics_memory = self._limited(point.e, point.e_dot, point, _own(state))
         acceleration = point.served(self.planned(point.sample), u - point.bias_acceleration)
         force = estimate.base_force.copy()
@@ -147,14 +149,16 @@ class TaskTimeDelay(AccelerationLaw):
         return cls(**field_values(cls, setup, task_space=task_space, estimator=estimator))
 
 
-def _at_estimate(sample: Sample, estimate: Estimate, driven: np.ndarray) -> Sample:
+def _at_estimate(sample: Sample, estimate: Estimate, space: TaskSpace) -> Sample:
     """Return a sample (nv) with the estimated state of the driven coordinates in place of the
     measured one, to first order in the attitude's error.
     """
     q, v, e, e_dot = (of.copy() for of in (sample.q, sample.v, sample.e, sample.e_dot))
+    driven = space.driven
     e[driven], e_dot[driven] = estimate.e[driven], estimate.e_dot[driven]
-    q[:4] = turned_by((sample.e - e)[:3], q[:4])
-    q[4:] += (sample.e - e)[3:]
+    moved = space.model.calc_whole_velocity(sample.q, sample.e - e)
+    q[:4] = turned_by(moved[:3], q[:4])
+    q[4:] += moved[3:]
     v += sample.e_dot - e_dot
     return sample._replace(q=q, v=v, e=e, e_dot=e_dot)
 

@@ -63,9 +63,12 @@ class TaskSpace:
         no such frame.
         """
         scenario, given = setup.scenario, setup.nominal
-        # The whole model, not the reduced one that laws get otherwise.
-        model = PlantModel(plant=given.plant, context=given.context, coordinates=given.coordinates)
-        frame, rows = goal_frame(scenario, model.plant), tracked_rows(scenario)
+        model = given
+        if given.coordinates.undriven:  # the whole model, not the reduced one that laws get
+            model = PlantModel(
+                plant=given.plant, context=given.context, coordinates=given.coordinates
+            )
+        frame, rows = goal_frame(scenario, given.plant), tracked_rows(scenario)
         return cls(model=model, frame=frame, rows=rows, driven=given.coordinates.driven)
 
     def at(self, sample: Sample, *, damping: float) -> "TaskPoint":

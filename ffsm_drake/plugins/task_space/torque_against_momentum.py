@@ -7,13 +7,15 @@ the base's pose is not controlled.
 """
 
 import dataclasses
+from typing import Any, Self
 
 import numpy as np
 
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.free_floating import center_of_mass
 from ffsm_drake.spacecraft.nominal import PlantModel
-from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain
+from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, field_values, gain
+from ffsm_drake.systems.setup import BlockSetup
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -37,13 +39,22 @@ class TorqueAgainstMomentum(ControlLaw):
         4.0, "1/s^2", "gain on the distance of the joints from their initial positions", scalar=True
     )
     k_d: float = gain(4.0, "1/s", "gain on the rates of the joints", scalar=True)
+    # of its joints among those of the spacecraft
+    places: Any = dataclasses.field(default_factory=lambda: slice(None))
+
+    @classmethod
+    def from_setup(cls, setup: BlockSetup) -> Self:
+        """See ControlLaw."""
+        own = setup.craft.coordinates.indices(setup.coordinates.names, key="controller")
+        places = own[NUM_BASE_VELOCITIES:] - NUM_BASE_VELOCITIES
+        return cls(**field_values(cls, setup, places=places))
 
     def initial_state(self) -> State:
         return {"held_joints": np.zeros(len(self.model.coordinates.joints))}
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         base, arm = slice(None, NUM_BASE_VELOCITIES), slice(NUM_BASE_VELOCITIES, None)
-        joints = sample.q[NUM_BASE_POSITIONS:]
+        joints = sample.q[NUM_BASE_POSITIONS:][self.places]
         held = joints.copy() if sample.is_first else state["held_joints"]
         H, C = self.model.calc_mass_matrix(sample.q), self.model.calc_bias(sample.q, sample.v)
         momentum = angular_momentum(H, sample.v)

@@ -10,7 +10,7 @@ To it A' F is added, where F integrates the error of the wrench measured at the 
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydrake.multibody.tree import Frame
@@ -18,13 +18,14 @@ from scipy.linalg.lapack import dgesv, dposv
 
 from ffsm_drake.common.choice import is_known
 from ffsm_drake.common.errors import BlockError, ScenarioError
-from ffsm_drake.common.products import times
+from ffsm_drake.common.products import applied, product, times
 from ffsm_drake.common.so3 import cross_of
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Constraints
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import InternalForce, closing_contacts
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.free_floating import ReducedModel
 from ffsm_drake.spacecraft.nominal import PlantModel, stacked
 from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, configuration, find_body
 from ffsm_drake.systems.controllers.controller import OPTIONAL_OUTPUTS
@@ -46,9 +47,12 @@ class ChainModel(PlantModel):
     Configurations q (..., nq) are those of the tree; all else is along nu.
     """
 
+    reduced: ClassVar[type]  # with H* and C*, see ``driven_model``
     constraints: Constraints  # of the tree
     free: Any  # indices of nu in v (n)
     following: Any  # indices of the other velocities (m)
+    # (nv) squares of the force limits; the force is that of least tau^2 / share, summed
+    share: np.ndarray
 
     @property
     def tree(self) -> PlantModel:
@@ -108,6 +112,57 @@ class ChainModel(PlantModel):
         whole = self.calc_map(q)[1]
         return whole.T @ self.tree.calc_inverse_dynamics(q, *self._moved(q, v))
 
+    def calc_jacobian(
+        self, q: np.ndarray, frame: Frame | str, seen_from: Frame | None = None
+    ) -> np.ndarray:
+        """See PlantModel; (..., 6, n), the frame's twist is J nu."""
+        return product(self.tree.calc_jacobian(q, frame, seen_from), self.calc_map(q)[1])
+
+    @stacked
+    def calc_bias_acceleration(
+        self, q: np.ndarray, v: np.ndarray, frame: Frame | str, seen_from: Frame | None = None
+    ) -> np.ndarray:
+        """See PlantModel; at constant nu (..., n)."""
+        (rates, drift), tree = self._moved(q, v), self.tree
+        own = tree.calc_bias_acceleration(q, rates, frame, seen_from)
+        return own + tree.calc_jacobian(q, frame, seen_from) @ drift
+
+    def calc_frame_pose(
+        self, q: np.ndarray, frame: Frame | str, seen_from: Frame | None = None
+    ) -> np.ndarray:
+        """See PlantModel."""
+        return self.tree.calc_frame_pose(q, frame, seen_from)
+
+    def calc_frame_rotation(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
+        """See PlantModel."""
+        return self.tree.calc_frame_rotation(q, frame)
+
+    def calc_whole_velocity(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """See PlantModel."""
+        return applied(self.calc_map(q)[1], v)
+
+    def calc_force(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """The least tau (..., nv) with S' tau = w, of w (..., n)."""
+        free, following = self.free, self.following
+        # tau_d of the velocities that follow: (1 / W_d + D W_f D') tau_d = D W_f w, S = [1; D]
+        across = self.calc_map(q)[1][..., following, :]
+        weighted = across * self.share[free]
+        inner = weighted @ across.mT + self._softness
+        driven = times(weighted, force)
+        if driven.ndim == 1 and is_known(driven):
+            taken = dposv(inner, driven)[1]  # faster on few numbers
+        else:
+            taken = np.linalg.solve(inner, driven[..., None])[..., 0]
+        least = np.zeros_like(force, shape=(*force.shape[:-1], self.share.size))
+        least[..., free] = force - times(across.mT, taken)
+        least[..., following] = taken
+        return least
+
+    @functools.cached_property
+    def _softness(self) -> np.ndarray:
+        among = self.share[self.following]
+        return np.eye(among.size) / among
+
     def _moved(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """S nu and dS/dt nu (nv), at q (nq) for nu (n)."""
         constraints, whole, _ = self.calc_map(q)
@@ -117,6 +172,14 @@ class ChainModel(PlantModel):
             constraints[:, self.following], self.constraints.bias(q, rates)
         )
         return rates, drift
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _ReducedChain(ReducedModel, ChainModel):
+    """As ChainModel, of an underactuated plant."""
+
+
+ChainModel.reduced = _ReducedChain
 
 
 def _across(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
@@ -180,8 +243,6 @@ class MinimalLaw(WrappedLaw):
 
     model: ChainModel
     internal: InternalControl | None
-    # (nv) squares of the force limits; the force is that of least tau^2 / share, summed
-    share: np.ndarray
 
     @property
     def contacts_read(self) -> int:  # type: ignore[override]
@@ -208,7 +269,7 @@ class MinimalLaw(WrappedLaw):
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
         """One control sample; see ControlLaw."""
-        free, following = self.model.free, self.model.following
+        free = self.model.free
         constraints, whole, _ = self.model.calc_map(sample.q)
         given = Sample(
             sample.q,
@@ -229,29 +290,13 @@ class MinimalLaw(WrappedLaw):
             if name != _INTERNAL
         }
         force, memory = self.law.step(given, own)
-        # tau_d of the velocities that follow: (1 / W_d + D W_f D') tau_d = D W_f w, S = [1; D]
-        across = whole[..., following, :]
-        weighted = across * self.share[free]
-        inner = weighted @ across.mT + self._softness
-        driven = times(weighted, force)
-        if driven.ndim == 1 and is_known(driven):
-            taken = dposv(inner, driven)[1]  # faster on few numbers
-        else:
-            taken = np.linalg.solve(inner, driven[..., None])[..., 0]
-        least = np.zeros_like(force, shape=(*force.shape[:-1], self.share.size))
-        least[..., free] = force - times(across.mT, taken)
-        least[..., following] = taken
+        least = self.model.calc_force(sample.q, force)
         if self.internal is None:
             return least, self._padded(memory)
         internal = self.internal.step(self.model.constraints, sample, state[_INTERNAL])
         # A' F on the joints takes F from the multipliers, which act on the hand
         force = least + times(constraints.mT, internal)
         return force, {**self._padded(memory), _INTERNAL: internal}
-
-    @functools.cached_property
-    def _softness(self) -> np.ndarray:
-        among = self.share[self.model.following]
-        return np.eye(among.size) / among
 
     def _new(self, is_new: np.ndarray) -> np.ndarray:
         positions, velocities = np.split(is_new, 2, axis=-1)
@@ -266,7 +311,7 @@ class MinimalLaw(WrappedLaw):
 
     def _whole(self, values: np.ndarray) -> np.ndarray:
         """Values (..., nv) of all velocities from those of the minimal ones."""
-        found = np.zeros_like(values, shape=(*values.shape[:-1], self.share.size))
+        found = np.zeros_like(values, shape=(*values.shape[:-1], self.model.share.size))
         found[..., self.model.free] = values
         return found
 
@@ -309,15 +354,10 @@ def make_in_chain(setup: BlockSetup, make: Callable[[BlockSetup], Any]) -> Contr
         raise _unfit(setup, "is a Drake system")
     _try(law, model, setup)
     given = scenario.chain.force
-    limit = nominal.coordinates.vector(
-        scenario.actuation.limit or {}, key="actuation.limit", default=np.inf
-    )
-    largest = limit[np.isfinite(limit)].max(initial=1.0)
     return MinimalLaw(
         law=law,
         model=model,
         internal=None if given is None else _internal_control(given, scenario, chain),
-        share=np.where(np.isfinite(limit), limit / largest, 1.0) ** 2,
     )
 
 
@@ -385,6 +425,10 @@ def _minimal_model(mission: Mission, chain: ClosedChain) -> ChainModel:
         tuple(coordinates.joint_units[i] for i in joints),
         coordinates.undriven,
     )
+    limit = coordinates.vector(
+        scenario.actuation.limit or {}, key="actuation.limit", default=np.inf
+    )
+    largest = limit[np.isfinite(limit)].max(initial=1.0)
     return ChainModel(
         plant=tree.plant,
         context=tree.context,
@@ -394,6 +438,7 @@ def _minimal_model(mission: Mission, chain: ClosedChain) -> ChainModel:
         constraints=chain.constraints,
         free=_as_slice(free),
         following=_as_slice(chosen),
+        share=np.where(np.isfinite(limit), limit / largest, 1.0) ** 2,
     )
 
 

@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 from compared_runs import check, of_seeds
-from law_lists import joint_laws
+from law_lists import joint_laws, traced_laws
 
 from ffsm_drake import simulate_many
 from ffsm_drake.mission import make_mission
@@ -28,7 +28,7 @@ SHIPPED = {
 }
 FAST = "environment={altitude: null, mean_motion: 0.01}"
 LAWS = joint_laws("slotine_li")
-IN_CHAIN = joint_laws("coordinated", "slotine_li", "tvlqr", "torque_against_momentum")
+IN_CHAIN = traced_laws("torque_against_momentum")
 
 
 @pytest.mark.slow

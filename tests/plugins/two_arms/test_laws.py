@@ -1,8 +1,6 @@
 """Control laws in the closed chain: internal force, load sharing, and what fails without."""
 
 import dataclasses
-import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -197,27 +195,67 @@ def test_the_chains_model_is_that_of_the_constrained_tree() -> None:
         rcond=None,
     )[0]
     a[chain.following] += change
+    hand = nominal.plant.GetFrameByName("left_hand")
+    own, whole_motion = chain.calc_frame_motion(q, nu, rate, hand), (q, v, a, hand)
+    assert_allclose(own, nominal.calc_frame_motion(*whole_motion), rtol=1e-9, atol=1e-9)
     expected = whole.T @ nominal.calc_inverse_dynamics(q, v, a)
     assert_allclose(chain.calc_inverse_dynamics(q, nu, rate), expected, rtol=1e-9, atol=1e-9)
 
 
-PAGE = (Path(__file__).parents[3] / "docs" / "two_arms.md").read_text()
-WHOLE = re.findall(r"`(\w+)`", re.search(r"need `chain.law: plain` \((.*?)\)", PAGE, re.S)[1])
-
-
 @pytest.mark.parametrize("law", controller_names())
-def test_every_law_works_in_the_chain_or_is_refused(law: str) -> None:
-    """Those of the page's list need the whole tree."""
-    if law in WHOLE:
-        message = f"controller '{law}' needs the velocities of all joints"
-        with pytest.raises(BlockError, match=message):
-            simulate(scenario(f"controller={law}", "duration=0.1"), check_stability=False)
-    plain = "plain" if law in WHOLE else "minimal"
-    given = scenario(f"controller={law}", f"chain.law={plain}", "duration=0.1")
-    run = simulate(given, check_stability=False)
+def test_every_law_works_in_the_chain(law: str) -> None:
+    run = simulate(scenario(f"controller={law}", "duration=0.1"), check_stability=False)
     assert run.outcome.status == "completed"
     assert np.abs(run.dataset["error"].values).max() < 1e-3
     assert run.metrics["contacts"]["force"] < 1.0
+
+
+# It turns against the momentum, and has no plan.
+@pytest.mark.long
+@pytest.mark.parametrize("law", [*{*controller_names()} - {"torque_against_momentum"}])
+def test_every_law_settles_in_the_chain(law: str) -> None:
+    """With 1 mrad and 1 mm; the joints that follow keep the error of their calibration. PD+, which
+    has no estimate, is 6 mrad off, which the others multiply to 43 mrad.
+    """
+    run = simulate(scenario(f"controller={law}", *CALIBRATION), check_stability=False)
+    assert run.outcome.status == "completed"
+    scale = 12.0 if law == "pd_plus" else 1.0
+    errors = np.abs(run.dataset["error"].values[-100:])
+    assert errors[:, :12].max() < scale * 1.5e-3
+    assert errors[:, 12:].max() < scale * 4e-3
+    assert run.metrics["contacts"]["force"] < 1.0
+    assert run.metrics["contacts"]["moment"] < 2.0
+
+
+class Stubborn(ControlLaw):
+    """A law of the velocities of the whole spacecraft."""
+
+    @classmethod
+    def from_setup(cls, setup):
+        return cls()
+
+    def step(self, sample, state):
+        return np.ones(18) * sample.e_dot, state
+
+
+def test_a_law_of_all_velocities_is_refused() -> None:
+    with pytest.raises(BlockError, match="Stubborn' needs the velocities of all joints"):
+        simulate(scenario("duration=0.1"), blocks={"controller": Stubborn}, check_stability=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["mpc", "nmpc"])
+def test_predicted_forces_of_the_joints_keep_to_their_limits(law: str) -> None:
+    """The law gives n forces, and the joints share them: the limits are those of the joints."""
+    limits = [f"actuation.limit={{joints: {most}}}" for most in (100, 0.5)]
+    quick = (*QUIET, "chain.force=null", "duration=4", "reference.duration=4")
+    runs = [
+        simulate(scenario(f"controller={law}", *quick, limit), check_stability=False).dataset
+        for limit in limits
+    ]
+    free, held = (np.abs(run["generalized_force"].values[:, 6:]).max() for run in runs)
+    assert free > 0.6
+    assert held < 0.5 + 1e-6
 
 
 @pytest.mark.parametrize("closes", [0, 0.5])
