@@ -81,8 +81,8 @@ class PlantModel:
 
         Without flexible parts it is H itself. Deflections are zero.
         """
-        split, mass_matrix = self.split, PlantModel.calc_mass_matrix
-        whole = mass_matrix(self, split.whole_positions(q))
+        split = self.split
+        whole = PlantModel.calc_mass_matrix(self, split.whole_positions(q))
         return condensed(whole, split.known, split.hidden) if split.names else whole
 
     def modes(self, q: np.ndarray) -> list[Any]:
@@ -106,8 +106,7 @@ class PlantModel:
         """Return dv/dt (nv) under a generalized force (nv), N m and N, with springs and dampers."""
         self._set_state(q, v)
         self.plant.get_applied_generalized_force_input_port().FixValue(self.context, force)
-        found = self.plant.get_generalized_acceleration_output_port().Eval(self.context)
-        return np.array(found)
+        return np.array(self.plant.get_generalized_acceleration_output_port().Eval(self.context))
 
     @stacked
     def calc_jacobian(
@@ -157,15 +156,14 @@ class PlantModel:
         Args and errors as ``calc_jacobian``.
         """
         self._set_state(q)
-        world = seen_from or self.plant.world_frame()
-        X_WF = self._frame(frame).CalcPose(self.context, world)
+        X_WF = self._frame(frame).CalcPose(self.context, seen_from or self.plant.world_frame())
         return np.concatenate([X_WF.rotation().ToQuaternion().wxyz(), X_WF.translation()])
 
     def calc_frame_rotation(self, q: np.ndarray, frame: Frame | str) -> np.ndarray:
         """R_WF (3, 3) of a frame F at q (nq). Args and errors as ``calc_jacobian``."""
         self._set_state(q)
-        rotation = self._frame(frame).CalcPoseInWorld(self.context).rotation()
-        return np.ascontiguousarray(rotation.matrix())
+        pose = self._frame(frame).CalcPoseInWorld(self.context)
+        return np.ascontiguousarray(pose.rotation().matrix())
 
     def calc_frame_twist(self, q: np.ndarray, v: np.ndarray, frame: Frame | str) -> np.ndarray:
         """[w_WF; v_WF] (6) of a frame F at q (nq), v (nv), world axes, rad/s, m/s. Args and errors
@@ -181,9 +179,9 @@ class PlantModel:
         and errors as ``calc_jacobian``.
         """
         self._set_state(q)
-        world, own = self.plant.world_frame(), self._frame(frame)
+        own = self._frame(frame)
         return self.plant.CalcJacobianSpatialVelocity(
-            self.context, JacobianWrtVariable.kV, own, point, world, own
+            self.context, JacobianWrtVariable.kV, own, point, self.plant.world_frame(), own
         )
 
     def calc_frame_motion(
