@@ -75,13 +75,15 @@ def left_over(kept: dict[str, Any], first: float, last: float) -> float:
 def fed_blocks(kept: dict[str, Any], first: float, last: float) -> dict[str, np.ndarray]:
     """What detection keeps of the blocks (m, ...) that end between two times, s."""
     rows, states, panels = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
-    detector = None
+    detector, clock = None, 0.0
     for detector, arrays, now in stepped(kept):
         memory = detector.remembered(arrays)
-        if first < now < last and memory.samples % EVERY == 0.0:
-            rows.append(memory.kept[-1])
-            states.append(memory.states[-1])
-            panels.append(_of_panels(detector, memory))
+        new, clock = int(memory.clock - clock), memory.clock
+        if new and first < now < last:
+            ends = memory.rows[EVERY : new * EVERY + 1 : EVERY]
+            rows.extend(memory.kept[-new:])
+            states.extend(ends[:, detector._in["state"]])
+            panels.extend([_of_panels(detector, memory)] * new)
     assert detector is not None
     at = detector._at
     _, inverse, bound, _, payload = detector._models.at(np.array(states))

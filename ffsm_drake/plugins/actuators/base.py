@@ -138,7 +138,7 @@ class BaseActuators(Sampled):
     def phase(self, sample: Any) -> Sequence[Any]:
         """See Sampled."""
         begins = (sample % self.frame == 0) * 1.0
-        if not self._may_break:
+        if not self.faults:
             return [begins]
         samples = np.atleast_1d(sample)
         there = np.zeros((samples.size, len(self.faults)), dtype=bool)
@@ -176,7 +176,7 @@ class BaseActuators(Sampled):
         told, found, kept = applied.copy(), dict[str, Any](), dict[str, Any]()
         if thrusters is not None:
             firing, kept = self._fire(thrusters, asked, memory, rotation, begins=now.phase[0])
-            really = thrusters.failing(firing, gain, floor) if self._may_break else firing
+            really = thrusters.failing(firing, gain, floor) if self.faults else firing
             told[:6] = _turned_back(firing.wrench, rotation)
             applied[:6] = _turned_back(really.wrench, rotation)
             found = {"thruster_force": really.force, "thruster_open": firing.open_share}
@@ -186,7 +186,7 @@ class BaseActuators(Sampled):
         if wheels is not None:
             torques, rearranges = self._turn(wheels, wanted[0], memory, turning)
             stopped = torques
-            if self._may_break:
+            if self.faults:
                 stopped = wheels.stopping(torques, stops, momentum, turning)
             by_wheels = rotation.dot(stopped.on_base) + missing
             told[:3] += rotation.dot(torques.on_base) + missing
@@ -210,16 +210,15 @@ class BaseActuators(Sampled):
         thrusters, stopped wheels.
         """
         thrusters, wheels = self.thrusters, self.wheels
-        if not self._may_break:
-            return thrusters, wheels, (None, None, None)
         count = 0 if thrusters is None else len(thrusters.names)
-        gain, floor, stops = np.split(now.phase[1:], [count, 2 * count])
-        isolated = inputs.get("isolated")
+        is_open, isolated = 1.0, inputs.get("isolated")
         if isolated is not None and isolated.any():
             thrusters, wheels, _ = self.without(isolated)
             is_open = isolated[:count] != LOST  # a shut valve lets nothing through
-            gain, floor = gain * is_open, floor * is_open
-        return thrusters, wheels, (gain, floor, stops)
+        if not self.faults:
+            return thrusters, wheels, (None, None, None)
+        gain, floor, stops = np.split(now.phase[1:], [count, 2 * count])
+        return thrusters, wheels, (gain * is_open, floor * is_open, stops)
 
     def _ask(
         self,

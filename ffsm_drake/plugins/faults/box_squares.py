@@ -4,7 +4,7 @@ import numpy as np
 
 _STEPS, _GAP = 40, 0.5  # steps at most; largest excess of half a sum of squares
 _BACK, _CENTRED, _LEAST = 0.95, 0.1, 1e-4  # share of the way to a bound; of the barrier
-_DAMPED = 16.0  # weight of the unknowns' squares in the first guess
+_DAMPED, _GUESSES = 16.0, 6  # weight of the squares of changes in the first guesses; their number
 
 
 def least_squares(
@@ -25,17 +25,20 @@ def least_squares(
       low: (n, m).
       high: (n, m), above ``low``.
       enough: a problem with at most these squares is not improved further. Above zero, damped
-        least squares, cut at the bounds, are tried first, since they are often enough.
+        least squares, cut at the bounds, are tried first, since they are nearly always enough.
     """
     centre, scale = 0.5 * (high + low), 0.5 * (high - low)
     left = values - np.einsum("nij,nj->ni", matrix, centre)
     scaled = matrix * scale[:, None]
     found, squares, live = np.zeros_like(centre), np.zeros(len(values)), np.arange(len(values))
-    if enough > 0.0:
-        found = _damped(scaled, left)
-        squares = ((left - np.einsum("nij,nj->ni", scaled, found)) ** 2).sum(axis=1)
-        live = np.flatnonzero(squares > enough)
-        left, scaled = left[live], scaled[live]
+    for _ in range(_GUESSES):
+        if not (live.size and enough):
+            break
+        found[live] = _damped(scaled[live], left[live], found[live])
+        rest = left[live] - np.einsum("nij,nj->ni", scaled[live], found[live])
+        squares[live] = (rest**2).sum(axis=1)
+        live = live[squares[live] > enough]
+    left, scaled = left[live], scaled[live]
     first = np.maximum((left**2).sum(axis=1), 1.0)[:, None] / max(centre.shape[1], 1)
     x, up = np.zeros_like(centre[live]), np.repeat(first, centre.shape[1], axis=1)
     down = up.copy()
@@ -57,11 +60,13 @@ def least_squares(
     return squares, centre + scale * found
 
 
-def _damped(matrix: np.ndarray, left: np.ndarray) -> np.ndarray:
-    """Unknowns within +-1 that make |y - A x|^2 small."""
-    across = matrix.swapaxes(1, 2)
-    system = matrix @ across + _DAMPED * np.eye(matrix.shape[1])
-    found: np.ndarray = (across @ np.linalg.solve(system, left[..., None]))[..., 0]
+def _damped(matrix: np.ndarray, values: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Unknowns within +-1 that make |y - A x|^2 smaller; those at a bound stay there."""
+    left = values - np.einsum("nij,nj->ni", matrix, x)
+    free = matrix * (np.abs(x) < 1.0)[:, None]
+    across = free.swapaxes(1, 2)
+    system = free @ across + _DAMPED * np.eye(matrix.shape[1])
+    found: np.ndarray = x + (across @ np.linalg.solve(system, left[..., None]))[..., 0]
     return np.clip(found, -1.0, 1.0)
 
 

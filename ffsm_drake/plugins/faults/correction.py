@@ -23,26 +23,19 @@ class Correction(Known):
         turned[:, :NUM_BASE_VELOCITIES] = (base @ R.T).reshape(2, -1)
         return turned.ravel()
 
-    def _correct(
-        self,
-        memory: Memory,
-        raw: np.ndarray,
-        row: np.ndarray,
-        new: np.ndarray | None,
-        *,
-        is_first: bool,
-    ) -> None:
+    def _correct(self, memory: Memory, rows: np.ndarray, *, is_first: bool) -> None:
         """Write the measured state, without lost sensors and biases, into ``seen`` of the memory.
 
-        Args: also the row of the sample.
+        Args: also the row of the sample, after that of the sample before if it is not the first.
         """
-        nq, nv, old = self._nq, self._nv, self._old(new)
+        nq, nv, raw = self._nq, self._nv, rows[-1, self._in["state"]]
+        old = self._old(rows[-1, self._in["new"]])
         if not (np.count_nonzero(old) or np.count_nonzero(memory.codes[self._of_sensors])):
             memory.seen[:] = raw
             return
-        seen, expected = row[self._in["before"]], np.zeros(nv)
+        seen, expected = memory.seen, np.zeros(nv)
         if not is_first:
-            expected = self._changes(memory, row[None], memory.samples)[1][0]
+            expected = self._changes(rows, memory.samples)[1][0]
         off = self._of_base(matrix_of(seen[:4]), memory.off)
         q, v = moved(raw[:nq], -off[:nv]), raw[nq:] - off[nv:]
         lost = self._lost(memory.codes)
@@ -62,9 +55,9 @@ class Correction(Known):
             q = np.where(np.concatenate([lost[:1], lost[:nv]]), carried, q)
         memory.seen[:] = np.concatenate([q, v])
 
-    def _old(self, new: np.ndarray | None) -> np.ndarray:
+    def _old(self, new: np.ndarray) -> np.ndarray:
         """Mask of the measurements (2 nv) that a sensor without delay or period did not renew."""
-        if new is None:
+        if not new.size:
             return np.zeros(2 * self._nv, dtype=bool)
         return self._is_prompt & (new[1:] == 0.0)
 

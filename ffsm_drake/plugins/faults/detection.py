@@ -22,7 +22,9 @@ import numpy as np
 
 from ffsm_drake.plugins.faults.force_watch import ForceWatch
 from ffsm_drake.plugins.faults.known import EVERY, KINDS, units_of
-from ffsm_drake.plugins.faults.memory import Memory
+from ffsm_drake.plugins.faults.memory import HEAD, Memory
+from ffsm_drake.plugins.faults.sensor_watch import JUMP
+from ffsm_drake.plugins.faults.windows import BATCH
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.faults import detects
 from ffsm_drake.systems.parts.metrics import Figure, Metric, by_key
@@ -139,7 +141,7 @@ class Detector(ForceWatch, Sampled):
     def start(self, state: np.ndarray | None = None) -> Arrays:
         """See Sampled; before the start the state was measured."""
         memory = self._layout.start(len(self.units))
-        memory.leg = -1.0
+        memory.leg = -1.0  # of no payload
         if state is not None:
             memory.raw[:] = memory.seen[:] = memory.observed[:] = state
         return memory.arrays()
@@ -150,46 +152,66 @@ class Detector(ForceWatch, Sampled):
 
     def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
         """See Sampled."""
-        before, after = memory["codes"], self.remembered(memory)
-        self._look_at(after, inputs)
+        before, row, new = memory["codes"], self._row(inputs), inputs.get(IS_NEW)
+        leg, count, limit, _ = memory["rows"][: len(HEAD)].tolist()
+        seen, after, width = inputs["state"], dict(memory), self._layout.rows[1]
+        last = len(HEAD) + int(count) * width
+        may_wait = leg == self._leg and count + 1.0 < limit and (new is None or new.all())
+        room = memory["own"][self._layout.places["room"]]
+        if may_wait and self._is_usual(memory["rows"][last : last + seen.size], seen, room):
+            rows = memory["rows"].copy()
+            rows[last + width : last + width + row.size], rows[1] = row, count + 1.0
+            after["rows"] = rows
+        else:
+            changed = self.remembered(memory)
+            self._look_at(changed, row)
+            seen, after = changed.seen.copy(), dict(changed.arrays())
         outputs = {
-            "estimated_state": after.seen.copy(), "fault_detected": before,
+            "estimated_state": seen, "fault_detected": before,
             "abort_request": memory["abort_request"],
         }  # fmt: skip
-        if self._may_be_old:
-            outputs[IS_NEW] = self._renewed(inputs[IS_NEW], before)
+        if new is not None:
+            outputs[IS_NEW] = self._renewed(new, before) if before.any() else new
         if self._num_units:
             outputs["isolated"] = self._isolated(before)
-        return outputs, after.arrays()
+        return outputs, after
 
-    def _look_at(self, memory: Memory, inputs: Arrays) -> None:
-        """Bring the memory up to date with a sample; ``seen`` is the state without lost sensors."""
-        raw, new, is_first = inputs["state"], inputs.get(IS_NEW), memory.leg != self._leg
-        if is_first:
-            memory.leg = self._leg
-            self._forget(memory)
-            self._begin(memory)
-            memory.samples = 0.0
-        row = memory.rows[int(memory.samples) % EVERY]
-        self._take(memory, row, inputs)
-        self._correct(memory, raw, row, new, is_first=is_first)
-        if not is_first:
-            self._look_at_sensors(memory, raw, row, new)
-        memory.raw[:] = raw
-        if is_first:
-            return
-        memory.samples += 1.0
-        if memory.samples % EVERY == 0.0:
-            self._collect(memory)
-            self._look_at_blocks(memory)
-
-    def _take(self, memory: Memory, row: np.ndarray, inputs: Arrays) -> None:
-        """Write into the row of a sample what was before, and the reported force."""
-        row[self._in["before"]], row[self._in["told"]] = memory.seen, memory.told
-        row[self._in["momentum"]] = memory.momentum
-        force = inputs["told_force"]
+    def _row(self, inputs: Arrays) -> np.ndarray:
+        """What is kept of a sample: the columns up to ``slip``."""
+        force, parts = inputs["told_force"], [inputs["state"]]
+        if self._num_units:
+            parts.append(inputs["told_units"])
         if self._wheels is not None:
             force = force + inputs["gyroscopic_force"]
-            memory.momentum[:] = inputs["wheel_momentum"]
-        row[self._in["force"]] = force
-        memory.told[:] = inputs.get("told_units", memory.told)
+            parts.append(inputs["wheel_momentum"])
+        parts.append(force)
+        if self._may_be_old:
+            parts.append(inputs[IS_NEW])
+        return np.concatenate(parts)
+
+    def _look_at(self, memory: Memory, row: np.ndarray) -> None:
+        """Bring the memory up to date with a sample and those that waited; ``seen`` is the state
+        without lost sensors.
+        """
+        is_first = memory.leg != self._leg
+        if is_first and memory.leg >= 0.0:  # the last sample may have waited
+            memory.seen[:] = memory.rows[int(memory.count), : memory.seen.size]
+        memory.count = 0.0 if is_first else memory.count + 1.0
+        at = int(memory.count)
+        memory.rows[at, : row.size] = row
+        if is_first:
+            memory.leg, memory.samples, memory.done = self._leg, 0.0, 0.0
+            self._forget(memory)
+            self._begin(memory)
+            self._correct(memory, memory.rows[:1], is_first=True)
+            memory.raw[:] = row[: memory.raw.size]
+            memory.rows[0, : memory.raw.size] = memory.seen
+        else:
+            self._look_at_samples(memory)
+            if at % EVERY == 0 and at >= memory.limit:
+                self._collect(memory)
+                self._look_at_blocks(memory, at // EVERY)
+        blocks = 1.0 if memory.tries else BATCH - memory.clock % BATCH
+        memory.limit = blocks * EVERY * self._are_calm(memory)
+        # smaller jumps are found with the others of a batch
+        memory.room[:] = np.maximum(JUMP, self._settings.threshold * np.sqrt(memory.jitter))

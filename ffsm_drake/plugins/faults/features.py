@@ -22,6 +22,8 @@ from ffsm_drake.plugins.faults.windows import slope_weights
 WINDOWS = (4, 8, 16, 32, 64)  # blocks of slopes
 CHAIN, LINKS = 16, 4  # blocks of slopes that follow one another; their number
 FIRED = (4, 16, 64)  # blocks of means that are weighted by the force of a thruster
+_FADES = (3.0, 8.0, 32.0)  # blocks in which these weights fade
+_FIRES = 1.0  # least force of such a mean, in samples with all of it
 FIRST = 13  # blocks from which on there are features
 _MODEL, _TURN = 0.004, 0.1  # error of the model, of accelerations: least; for each rad of motion
 _MORE, _FORCE = 1.03, 1e-3  # of the bounds of forces: share, N m or N
@@ -64,64 +66,66 @@ def slopes(
     told: np.ndarray,
     noise: np.ndarray,
     step: float,
-    windows: np.ndarray,
-    ago: np.ndarray,
+    windows: Sequence[int],
+    ago: Sequence[int],
 ) -> Means:
     """Slopes over windows (F) of m blocks that are ``step`` s apart.
 
     Args: of blocks, unexplained changes and velocities (m, nv), impulses (m, n), each summed up;
     the noise (nv) of a velocity's mean over a block; also how many blocks ago each window ended.
     """
-    weights = np.zeros((len(windows), len(left)))
-    ends = len(left) - ago
-    for row, (first, end) in enumerate(zip(ends - windows, ends, strict=True)):
-        weights[row, first:end] = slope_weights((int(end - first),), int(end - first), step)[0]
+    weights, window, back = np.zeros((len(windows), len(left))), np.array(windows), np.array(ago)
+    for row, (size, end) in enumerate(zip(windows, ago, strict=True)):
+        count = len(left) - end
+        weights[row, :count] = slope_weights((size,), count, step)
     return Means(
-        window=windows, is_slope=np.ones(len(windows), dtype=bool), middle=windows // 2 + ago,
-        ago=ago, unexplained=weights @ left, acceleration=weights @ velocity, told=weights @ told,
+        window=window, is_slope=np.ones(len(window), dtype=bool), middle=window // 2 + back,
+        ago=back, unexplained=weights @ left, acceleration=weights @ velocity, told=weights @ told,
         noise=np.linalg.norm(weights, axis=1)[:, None] * noise,
     )  # fmt: skip
 
 
-def fired(
-    samples: np.ndarray, span: int, force: np.ndarray, noise: np.ndarray, step: float
-) -> Means:
-    """Means weighted by the commanded force of each thruster that fired in ``FIRED`` blocks.
+def pulses(sums: np.ndarray, rows: np.ndarray, fires: np.ndarray, blocks: int) -> None:
+    """Add samples to sums that are weighted by the force of each thruster, and fade.
 
     Args:
-      samples: of each of m blocks, more than the longest window (m, k, n + 2 nv): commanded forces,
-        unexplained and expected acceleration.
-      span: blocks that may be used.
-      force: of the thrusters (n), N.
-      noise: of a sample of the velocities (nv).
-      step: control period, s.
+      sums: (3, n, n + 2 nv + 3), updated: forces, unexplained and expected accelerations, of ones,
+        of how many blocks ago, and of squares of changes.
+      rows: those values of so many samples (k, n + 2 nv).
+      fires: forces of thrusters (k + 1, n), N, also at the sample before.
+      blocks: that the samples form.
     """
-    count, nv, each = len(force), noise.size, samples.shape[1]
-    rows, told = samples.reshape(-1, count + 2 * nv), samples[:, :, :count].sum(axis=1)
-    fires, last = rows[:, :count], 0
-    changes, of, rough = np.diff(fires, axis=0) ** 2, np.zeros((count, count + 2 * nv)), 0.0
-    parts = list[tuple[np.ndarray, ...]]()
-    for window in (blocks for blocks in FIRED if max(blocks, FIRST) <= span):
-        part = slice(-window * each, -last * each or None)
-        of, last = of + fires[part].T @ rows[part], window
-        rough = rough + changes[part].sum(axis=0)
-        total = told[-window:].sum(axis=0)
-        which = np.flatnonzero(total >= 2.0 * force)
-        total = total[which]
-        back = np.arange(window)[::-1] @ told[-window:, which] / total
-        spread = np.sqrt(rough[which] + 2.0 * force[which] ** 2) / total / step
-        middle = np.round(back + 0.4).astype(int)
-        parts.append((np.full(len(which), window), middle, of[which] / total[:, None], spread))
-    if not parts:
-        none = np.zeros(0, dtype=int)
-        parts.append((none, none, np.zeros((0, count + 2 * nv)), np.zeros(0)))
-    windows, middles, means, roughs = (np.concatenate(of) for of in zip(*parts, strict=True))
-    left, expected = means[:, count : count + nv], means[:, count + nv :]
+    ago = blocks * np.arange(len(rows))[::-1] / len(rows)
+    values = np.column_stack([rows, np.ones(len(rows)), ago])
+    changes = np.diff(fires, axis=0) ** 2
+    for of, time in zip(sums, _FADES, strict=True):
+        fades, faded = np.exp(-ago / time), np.exp(-blocks / time)
+        of[:, -2] += blocks * of[:, -3]
+        of[:, -1] *= faded
+        of *= faded
+        of[:, :-1] += (fades[:, None] * fires[1:]).T @ values
+        of[:, -1] += fades**2 @ changes
+
+
+def fired(sums: np.ndarray, span: int, force: np.ndarray, noise: np.ndarray, step: float) -> Means:
+    """Means weighted by the commanded force of each thruster that fired.
+
+    Args: sums of ``pulses``; blocks that may be used; force of the thrusters (n), N; the noise (nv)
+    of a sample of the velocities; control period, s.
+    """
+    count, nv = len(force), noise.size
+    total = sums[:, :, -3]
+    is_used = np.array([max(blocks, FIRST) <= span for blocks in FIRED])
+    at, which = np.nonzero((total >= _FIRES * force) & is_used[:, None])
+    of, total = sums[at, which], total[at, which]
+    means = of / total[:, None]
+    left, expected = means[:, count : count + nv], means[:, count + nv : -3]
+    rough = np.sqrt(of[:, -1] + 2.0 * force[which] ** 2) / total / step
     return Means(
-        window=windows, is_slope=np.zeros(len(windows), dtype=bool), middle=middles,
-        ago=0 * windows,
+        window=np.array(FIRED)[at], is_slope=np.zeros(len(at), dtype=bool), ago=0 * at,
+        middle=np.minimum(np.round(means[:, -2] + 0.4), np.array(FIRED)[at]).astype(int),
         unexplained=left, acceleration=left + expected, told=means[:, :count],
-        noise=roughs[:, None] * noise,
+        noise=rough[:, None] * noise,
     )  # fmt: skip
 
 

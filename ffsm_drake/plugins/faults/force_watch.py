@@ -6,11 +6,12 @@
 import numpy as np
 
 from ffsm_drake.plugins.actuators.wheel_set import WHEEL_STOPS
+from ffsm_drake.plugins.faults import features
 from ffsm_drake.plugins.faults.known import EVERY, KEPT, LEARNT, OLD, WINDOWS
 from ffsm_drake.plugins.faults.memory import Memory
 from ffsm_drake.plugins.faults.motion_watch import MotionWatch
 from ffsm_drake.plugins.faults.wheel_watch import stopped
-from ffsm_drake.plugins.faults.windows import slope_weights
+from ffsm_drake.plugins.faults.windows import BATCH, slope_weights
 
 
 class ForceWatch(MotionWatch):
@@ -19,52 +20,56 @@ class ForceWatch(MotionWatch):
     """
 
     def _collect(self, memory: Memory) -> None:
-        """Add the samples of a block that ends to what is kept of blocks."""
-        rows, count, nq, step = memory.rows, len(self._force), self._nq, self._step
-        before, told = rows[:, self._in["before"]], rows[:, self._in["told"]]
-        now = np.vstack([before[1:], memory.seen])[:, nq:]
-        fires = np.vstack([told[1:], memory.told])[:, :count]
-        beyond, expected = self._changes(memory, rows, memory.samples - EVERY)
-        left = now - before[:, nq:] - expected
+        """Add the blocks that the samples form to what is kept."""
+        size, count, step = int(memory.count), len(self._force), self._step
+        rows, blocks = memory.rows[: size + 1], size // EVERY
+        velocity, told = rows[:, self._in["state"]][:, self._nq :], rows[:, self._in["told"]]
+        beyond, expected = self._changes(rows, memory.samples - size)
+        left, now = np.diff(velocity, axis=0) - expected, velocity[1:]
         self._find_jumps(memory, left)
-        moves = rows[:, self._in["slip"]], rows[:, self._in["moved"]]
-        parts = left, *moves, 0.0 * now, step * fires, step * told[:, count:], beyond
+        moves = rows[1:, self._in["slip"]], rows[1:, self._in["moved"]]
+        parts = left, *moves, 0.0 * now, step * told[1:, :count], step * told[:-1, count:], beyond
         sums = np.cumsum(np.vstack([memory.sums, np.hstack(parts)]), axis=0)[1:]
         sums[:, self._at["velocity"]] = now
         memory.sums[:] = sums[-1]
-        memory.kept = np.vstack([memory.kept[1:], sums.mean(axis=0)])
-        memory.states = np.vstack([memory.states[1:], memory.seen])
+        means = sums.reshape(blocks, EVERY, -1).mean(axis=1)
+        memory.kept = np.vstack([memory.kept[blocks:], means])
+        memory.rows[0], memory.count, memory.done = memory.rows[size], 0.0, 0.0
+        memory.blocks += blocks
+        memory.span += blocks
         if count:
-            samples = np.hstack([fires, left / step, expected / step])
-            memory.fired = np.concatenate([memory.fired[1:], samples[None]])
-            pushes = self._models.pushes(memory.seen)
-            pushed = np.linalg.solve(self._models.dynamics(memory.seen)[0], pushes)
-            memory.reach[:] = step * np.abs(pushed) @ self._force
-        memory.blocks += 1.0
-        memory.span += 1.0
-        memory.clock += 1.0
+            fresh = EVERY * int(np.clip(memory.span, 0, blocks))
+            memory.pulses *= float(fresh == size)
+            samples = np.hstack([told[1:, :count], left / step, expected / step])[size - fresh :]
+            features.pulses(memory.pulses, samples, told[size - fresh :, :count], fresh // EVERY)
+        memory.clock += blocks
+        if memory.clock % BATCH == 0.0:
+            memory.states = np.vstack([memory.states[1:], memory.seen])
 
     def _find_jumps(self, memory: Memory, left: np.ndarray) -> None:
-        """Find velocities that jump in a block: each begins a new window of its sensor."""
-        rough, count = memory.rough, memory.samples - EVERY
-        for change in left:
-            count += 1.0
-            bound = self._settings.threshold * np.sqrt(rough) + memory.reach
-            jumps = float(count > LEARNT and (np.abs(change) > bound).any())
-            if jumps:
-                change = np.clip(change, -bound, bound)
-                if not memory.jumped and memory.blocks >= WINDOWS[0]:
-                    memory.blocks = -1.0
-            memory.jumped = jumps
-            rough += (change**2 - rough) / min(count, 4.0 * LEARNT)
+        """Find velocities that jump: they begin a new window of their sensors."""
+        _, inverse, _, pushes, _ = self._models.at(memory.rows[:1, self._in["state"]])
+        reach = self._step * np.abs(inverse[0] @ pushes[0]) @ self._force
+        bound = self._settings.threshold * np.sqrt(memory.rough) + reach
+        first = int(max(LEARNT - memory.samples + len(left), 0))
+        jumps = (np.abs(left) > bound).any(axis=1) & (np.arange(len(left)) >= first)
+        begins = np.flatnonzero(jumps & ~np.append(memory.jumped > 0.0, jumps[:-1]))
+        if begins.size and memory.blocks >= WINDOWS[0]:
+            memory.blocks = -1.0 - begins[0] // EVERY
+        memory.jumped = float(jumps[-1])
+        change = np.where(jumps[:, None], np.clip(left, -bound, bound), left)
+        gain = len(left) / min(memory.samples, 4.0 * LEARNT)
+        memory.rough += gain * ((change**2).mean(axis=0) - memory.rough)
 
-    def _look_at_blocks(self, memory: Memory) -> None:
-        """Wheels, velocities, then joints and thrusters, in windows of blocks."""
+    def _look_at_blocks(self, memory: Memory, blocks: int) -> None:
+        """Wheels, velocities, then joints and thrusters, in windows of blocks, as many of which are
+        new.
+        """
         valid, step, kept = int(memory.blocks), EVERY * self._step, memory.kept[-KEPT:]
         if valid >= KEPT or (memory.looks < OLD and valid >= 2 * OLD):
             old = kept[-min(valid, KEPT) :][OLD : 2 * OLD, self._at["slip"]]
-            memory.looks += 1.0
-            gain = 1.0 / min(memory.looks, 2.0 * LEARNT)
+            memory.looks += blocks
+            gain = blocks / min(memory.looks, 2.0 * LEARNT)
             memory.slope += gain * (
                 slope_weights((len(old),), len(old), step)[0] @ old - memory.slope
             )

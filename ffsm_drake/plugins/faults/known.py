@@ -14,6 +14,7 @@ from ffsm_drake.plugins.actuators.wheel_set import WHEEL_STOPS
 from ffsm_drake.plugins.estimators.assumed_noise import assumed_noise
 from ffsm_drake.plugins.faults import payload_error
 from ffsm_drake.plugins.faults.bounds import Bounds
+from ffsm_drake.plugins.faults.features import FIRED
 from ffsm_drake.plugins.faults.features import WINDOWS as FORCE_WINDOWS
 from ffsm_drake.plugins.faults.jam import JAMMED
 from ffsm_drake.plugins.faults.memory import Layout, Memory
@@ -25,6 +26,7 @@ from ffsm_drake.plugins.faults.sensors import (
     reports_losses,
     sensors_of,
 )
+from ffsm_drake.plugins.faults.windows import BATCH
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import damping_of
@@ -118,6 +120,7 @@ class Known:
         self._position_noise = self._position_noise + quantized[0]
         self._velocity_noise = self._velocity_noise + quantized[1]
         are_exact = self._is_prompt & self._is_fine
+        self._is_fine_state = np.concatenate([are_exact[:1], are_exact])
         self._are_prompt = np.logical_and.reduceat(self._is_prompt, self._entries)
         self._is_exact = np.logical_and.reduceat(are_exact, self._entries)
         self._least_patience = self._patience[self._entries]
@@ -135,31 +138,32 @@ class Known:
         self._force = np.zeros(0) if self._thrusters is None else self._thrusters.force
         self._num_units = 0 if base is None else len(base.units)
         self._num_wheels = self._num_units - len(self._force)
+        self._none_isolated = np.zeros(self._num_units)
         # columns of a block: unexplained velocities, slips, motions, velocities, impulses of
         # thrusters, commanded impulses of wheels, momenta that wheels did not take
         count, wheels = len(self._force), self._num_wheels
         widths = {"left": nv, "slip": nv, "moved": nv, "velocity": nv, "impulse": count}
         self._at = _columns(widths | {"told": wheels, "beyond": wheels})
-        # columns of a sample: state, commands and momenta of the sample before; then force and
-        # motion since then
-        widths = {"before": size, "told": self._num_units, "momentum": wheels, "force": nv}
-        self._in = _columns(widths | {"slip": nv, "moved": nv})
+        # columns of a sample: state, commands, momenta and whether measurements are new; force,
+        # slip and motion since the sample before
+        widths = {"state": size, "told": self._num_units, "momentum": wheels, "force": nv}
+        widths |= {"new": size * self._may_be_old, "slip": nv, "moved": nv}
+        self._in = _columns(widths)
         width, units = self._at["beyond"].stop, len(self._joints) + count
         rows = 2 * len(FORCE_WINDOWS) + 1
         shapes: dict[str, tuple[int, ...]] = {
             **dict.fromkeys(("raw", "seen", "stale", "observed"), (size,)),
             **dict.fromkeys(("off", "since"), (2 * nv,)),
-            **dict.fromkeys(("jitter", "rough", "slope", "acceleration", "reach"), (nv,)),
-            "sums": (width,), "rows": (EVERY, self._in["moved"].stop),
-            "repeats": (len(self._sensors),), "told": (self._num_units,), "momentum": (wheels,),
-            "kept": (SPAN, width), "states": (SPAN, size),
-            "fired": (SPAN * bool(count), EVERY, count + 2 * nv),
+            **dict.fromkeys(("jitter", "room", "rough", "slope", "acceleration"), (nv,)),
+            "sums": (width,), "repeats": (len(self._sensors),),
+            "pulses": (len(FIRED), count, count + 2 * nv + 3),
+            "kept": (SPAN, width), "states": (SPAN // BATCH + 1, size),
             "against": (rows, units), "voted": (rows,), "agreed": (3,),
             "doubted": (2 + units,),
             "grows": (len(SPANS) * self._is_flexible,),
-            "grown": ((AGO + 1) * self._is_flexible, len(SPANS), SIZE),
+            "grown": ((AGO // BATCH + 1) * self._is_flexible, len(SPANS), SIZE),
         }  # fmt: skip
-        self._layout = Layout(shapes)
+        self._layout = Layout(shapes, (1 + BATCH * EVERY, self._in["moved"].stop))
 
     def _unit(self, sensor: str) -> int:
         return self.units.index(f"sensing.{sensor}")
@@ -167,38 +171,44 @@ class Known:
     def _isolated(self, codes: np.ndarray) -> np.ndarray:
         """Codes for the actuators (units)."""
         assert self._base is not None
-        told = (codes[: len(self._base.units)] > 0.0) * LOST
-        if np.count_nonzero(told) and not self._settings.isolation_valves:
+        if not np.count_nonzero(codes[: self._num_units]):
+            return self._none_isolated
+        told = (codes[: self._num_units] > 0.0) * LOST
+        if not self._settings.isolation_valves:
             told[codes[: told.size] == CODE["stuck_on"]] = STUCK_ON
             told[codes[: told.size] == CODE["leaking"]] = 0.0
         return told
 
-    def _changes(
-        self, memory: Memory, rows: np.ndarray, samples: float
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _changes(self, rows: np.ndarray, samples: float) -> tuple[np.ndarray, np.ndarray]:
         """Momenta that wheels did not take (m, wheels), and changes of velocity that the reported
         forces, with measured wheel torques, explain (m, nv).
 
-        Args: memory; its last m rows; how many samples of the leg were before.
+        The model is that of the first and last sample, with even steps between them.
+
+        Args: rows (m + 1) of samples; how many samples of the leg were before.
         """
-        before, force = rows[:, self._in["before"]], rows[:, self._in["force"]]
+        before, force = rows[:-1, self._in["state"]], rows[1:, self._in["force"]]
         force = force - self._damping * before[:, self._nq :]
-        beyond = np.zeros((len(rows), self._num_wheels))
+        beyond = np.zeros((len(before), self._num_wheels))
         if self._wheels is not None:
-            momentum, told = rows[:, self._in["momentum"]], rows[:, self._in["told"]]
-            beyond = np.vstack([momentum[1:], memory.momentum]) - momentum
-            beyond -= self._step * told[:, -self._num_wheels :]
+            told = rows[:-1, self._in["told"]][:, -self._num_wheels :]
+            beyond = np.diff(rows[:, self._in["momentum"]], axis=0) - self._step * told
             beyond[: max(2 - int(samples), 0)] = 0.0
             axes = matrix_of(before[:, :4]) @ self._wheels.axes
             force[:, :3] -= (axes @ beyond[..., None])[..., 0] / self._step
-        mass, bias = zip(*map(self._models.dynamics, before), strict=True)
-        found = np.linalg.solve(np.array(mass), (force - bias)[..., None])[..., 0]
+        _, inverse, bias = self._models.dynamics(before[0])
+        if len(before) > 1:
+            _, inverse_then, bias_then = self._models.dynamics(rows[-1, self._in["state"]])
+            share = np.arange(len(before))[:, None] / len(before)
+            bias = bias + share * (bias_then - bias)
+            inverse = inverse + share[..., None] * (inverse_then - inverse)
+        found = (inverse @ (force - bias)[..., None])[..., 0]
         return beyond, self._step * found
 
     @staticmethod
     def _forget(memory: Memory) -> None:
         """Begin all windows with the next block."""
-        memory.blocks, memory.span = -1.0, -1.0
+        memory.blocks = memory.span = -1.0 - memory.done // EVERY
 
 
 def _columns(widths: dict[str, int]) -> dict[str, slice]:

@@ -9,18 +9,18 @@ import numpy as np
 
 from ffsm_drake.systems.sampled import Arrays
 
-_NUMBERS = (
-    "leg", "samples", "blocks", "looks", "jumped", "span", "clock", "tries", "was_off",
-)  # fmt: skip
-_REPLACED = ("kept", "states", "fired")  # at the end of a block; never changed in place
+_NUMBERS = ("samples", "blocks", "looks", "span", "clock", "tries", "was_off", "jumped")
+_REPLACED = ("kept", "states")  # when samples are collected; never changed in place
+HEAD = ("leg", "count", "limit", "done")  # before the rows of samples
 _NONE = np.zeros(0)
 
 
 class Layout:
     """Places of what is remembered: small arrays are parts of one vector, after the numbers."""
 
-    def __init__(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
-        """Args: shapes of all arrays of ``Memory``, except ``codes``."""
+    def __init__(self, shapes: Mapping[str, tuple[int, ...]], rows: tuple[int, int]) -> None:
+        """Args: shapes of all arrays of ``Memory``, except ``codes``, and of ``rows``."""
+        self.rows = rows
         # vectors stay as they are
         self.shapes = {
             name: shape for name, shape in shapes.items() if name in _REPLACED or len(shape) > 1
@@ -32,7 +32,9 @@ class Layout:
     def start(self, units: int) -> "Memory":
         """Zeros, with so many units."""
         last = max(place.stop for place in self.places.values())
-        arrays = {"codes": np.zeros(units), "abort_request": np.zeros(1), "own": np.zeros(last)}
+        rows = np.zeros(len(HEAD) + math.prod(self.rows))
+        arrays = {"codes": np.zeros(units), "abort_request": np.zeros(1), "rows": rows}
+        arrays["own"] = np.zeros(last)
         large = {name: np.zeros(math.prod(self.shapes[name])) for name in _REPLACED}
         return Memory(self, arrays | large)
 
@@ -44,15 +46,15 @@ class Memory(SimpleNamespace):
     state, before and after corrections; biases ``off``, base's axes; for how many samples each is
     ``stale``, and how often it ``repeats`` its bits; slips ``since`` then, and their mean square
     ``jitter``; ``observed`` state and ``acceleration`` in place of lost velocities; the usual
-    ``slope`` of slips, after so many ``looks``; whether the last sample ``jumped``, and whether a
-    velocity ``was_off``. Of forces, ``rows`` of the samples of a block, ``kept`` blocks of
+    ``slope`` of slips, after so many ``looks``; whether a velocity ``was_off``. ``kept`` blocks of
     ``sums``, and how many ``blocks`` form a window of sensors, or a ``span`` of forces, in blocks
-    of the ``clock``; of the samples of blocks, ``fired`` forces and accelerations; ``states`` at
-    ends of blocks; ``rough``: mean square of unexplained changes; ``reach``: largest changes by
-    thrusters; ``grown`` forces of flexible parts, for ``grows`` blocks. Of decisions: squares
-    ``against`` each unit, when windows ``voted`` last, the unit that ``agreed``, units that are
-    ``doubted``, and for how many blocks there were ``tries``. ``told`` force of units and
-    ``momentum`` of wheels. Samples of this ``leg``, which the payload's mass tells.
+    of the ``clock``; ``states`` at ends of batches; ``grown`` forces of flexible parts, for
+    ``grows`` blocks; ``pulses`` of thrusters. Of decisions: squares ``against`` each unit, when
+    windows ``voted`` last, the unit that ``agreed``, units that are ``doubted``, and for how many
+    looks there were ``tries``. Samples of this ``leg``, which the payload's mass tells. ``rows``:
+    the last sample before a batch, then a ``count`` of its samples, of which some are ``done``.
+    Those before the ``limit`` may wait, if their slips are below ``room``. ``rough``: mean square
+    of unexplained changes; whether the last sample ``jumped``.
 
     A small array is a view of ``own``, a vector: it is written into, never replaced.
     """
@@ -65,13 +67,17 @@ class Memory(SimpleNamespace):
         for name, shape in layout.shapes.items():
             values = arrays.get(name, _NONE) if name in _REPLACED else known[name]
             known[name] = values.reshape(shape)
-        self.own, self.codes = own, np.array(arrays["codes"])
+        self.own, self.codes, self.all_rows = own, np.array(arrays["codes"]), arrays["rows"].copy()
+        known.update(zip(HEAD, self.all_rows[: len(HEAD)].tolist(), strict=True))
+        self.rows = self.all_rows[len(HEAD) :].reshape(layout.rows)
         self.abort_request = float(arrays["abort_request"][0])
 
     def arrays(self) -> Arrays:
         """Vectors, without empty ones."""
         known = vars(self)
         self.own[: len(_NUMBERS)] = [known[name] for name in _NUMBERS]
+        self.all_rows[: len(HEAD)] = [known[name] for name in HEAD]
         found = {name: known[name].reshape(-1) for name in ("codes", "own", *_REPLACED)}
+        found["rows"] = self.all_rows
         found["abort_request"] = np.array([self.abort_request])
         return {name: values for name, values in found.items() if values.size}

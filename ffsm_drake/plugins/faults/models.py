@@ -1,6 +1,7 @@
 """The nominal model in states of the last blocks."""
 
 import math
+from typing import TypeVar
 
 import numpy as np
 from pydrake.multibody.tree import Frame
@@ -10,7 +11,8 @@ from ffsm_drake.plugins.faults.bounds import Bounds
 from ffsm_drake.plugins.faults.payload_error import place
 from ffsm_drake.spacecraft.nominal import PlantModel
 
-_MOST = 130  # states, twice those of the longest window
+Kept = TypeVar("Kept")
+_MOST, _FEW = 40, 4  # states: twice those of the longest window; with a bias
 
 
 class Models:
@@ -29,7 +31,7 @@ class Models:
         self._model, self._bounds = model, bounds
         self._wrenches, self._payload = wrenches, payload
         self._kept = dict[bytes, np.ndarray]()
-        self._last = b"", np.zeros(0), np.zeros(0)
+        self._dynamics = dict[bytes, tuple[np.ndarray, ...]]()
 
     def at(self, states: np.ndarray) -> tuple[np.ndarray, ...]:
         """Mass matrices (m, nv, nv), their inverses, bounds of forces (m, nv), generalized forces
@@ -45,39 +47,43 @@ class Models:
         of_thrusters = pushes.reshape(count, nv, self._wrenches.shape[1])
         return mass.reshape(square), inverse.reshape(square), bound, of_thrusters, payload
 
-    def dynamics(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mass matrix (nv, nv) and bias (nv) in a state; those of the last state are kept.
+    def dynamics(self, state: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Mass matrix (nv, nv), its inverse, and bias (nv) in a state; those of the last states are
+        kept.
 
         Raises ValueError: the state is not finite.
         """
         key, plant, context = state.tobytes(), self._model.plant, self._model.context
-        if key != self._last[0]:
+        if key not in self._dynamics:
             if not math.isfinite(state.dot(state)):  # Drake would end the process
                 raise ValueError("the state is not finite")
             plant.SetPositionsAndVelocities(context, state)
-            self._last = key, plant.CalcMassMatrix(context), plant.CalcBiasTerm(context)
-        return self._last[1:]
-
-    def pushes(self, state: np.ndarray) -> np.ndarray:
-        """Generalized forces (nv, n) of unit forces of thrusters in a state."""
-        found = np.zeros((len(self._model.coordinates.names), self._wrenches.shape[1]))
-        pairs = self._wrenches.reshape(2, 3, -1)
-        found[:6] = (matrix_of(state[:4]) @ pairs).reshape(6, -1)
-        return found
+            mass = plant.CalcMassMatrix(context)
+            _keep(
+                self._dynamics, key, (mass, np.linalg.inv(mass), plant.CalcBiasTerm(context)), _FEW
+            )
+        return self._dynamics[key]
 
     def _row(self, state: np.ndarray) -> np.ndarray:
         """``at`` of one state, in a row."""
         key = state.tobytes()
         row = self._kept.get(key)
         if row is None:
-            mass, pushes = self.dynamics(state)[0], self.pushes(state)
-            payload = np.zeros(0)
+            mass, inverse, _ = self.dynamics(state)
+            pushes, payload = np.zeros((len(mass), self._wrenches.shape[1])), np.zeros(0)
+            pairs = self._wrenches.reshape(2, 3, -1)
+            pushes[:6] = (matrix_of(state[:4]) @ pairs).reshape(6, -1)
             if self._payload is not None:
                 payload = place(self._model, *self._payload, state)
             bound = self._bounds.of_force(mass, state)
-            parts = mass, np.linalg.inv(mass), bound, pushes, payload
+            parts = mass, inverse, bound, pushes, payload
             row = np.concatenate([each.ravel() for each in parts])
-            if len(self._kept) >= _MOST:
-                self._kept.pop(next(iter(self._kept)))
-            self._kept[key] = row
+            _keep(self._kept, key, row, _MOST)
         return row
+
+
+def _keep(kept: dict[bytes, Kept], key: bytes, value: Kept, most: int) -> None:
+    """Add to what is kept, in place of the oldest if that is too much."""
+    if len(kept) >= most:
+        kept.pop(next(iter(kept)))
+    kept[key] = value

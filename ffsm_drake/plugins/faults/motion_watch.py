@@ -4,6 +4,9 @@
 reported.
 """
 
+import operator
+from collections.abc import Sequence
+
 import numpy as np
 
 from ffsm_drake.plugins.faults import features
@@ -16,6 +19,7 @@ from ffsm_drake.plugins.faults.features import (
     Features,
     Means,
     Places,
+    joined,
     rows_of,
 )
 from ffsm_drake.plugins.faults.hypotheses import ALARM, Hypotheses, Vote, vote, vote_of_chain
@@ -26,6 +30,7 @@ from ffsm_drake.plugins.faults.memory import Memory
 from ffsm_drake.plugins.faults.panels import SIZE as PANELS
 from ffsm_drake.plugins.faults.panels import SPANS, PanelBound
 from ffsm_drake.plugins.faults.sensor_watch import SLOPE, SensorWatch, Slips
+from ffsm_drake.plugins.faults.windows import BATCH
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 
 _STILL, _NOISES = 2e-5, 6.0  # rad or m; deviations of noise that a joint at rest seems to move
@@ -39,7 +44,7 @@ class MotionWatch(SensorWatch):
     """A fault of a joint or thruster is reported once all windows agree on it."""
 
     def _look_at_forces(self, memory: Memory, slips: Slips) -> None:
-        """Report a fault that the last blocks show; without evidence, each second block looks."""
+        """Report a fault that the last blocks show."""
         span = int(min(memory.span, SPAN))
         if span < 1:
             return
@@ -50,12 +55,12 @@ class MotionWatch(SensorWatch):
         off, deviation = (of[: sum(each <= span for each in _OFF)] for of in slips)
         is_off = bool((np.abs(off) > SLOPE + 4.0 * deviation).any())
         was_off, memory.was_off = memory.was_off, float(is_off)
-        if was_off or is_off or (not memory.tries and int(memory.clock) % 2):
+        if was_off or is_off:
             return
         if memory.tries > _PATIENCE and int(memory.clock) % _PERIOD >= _BURST:
             return
         votes = self._votes(memory, self._means(memory, span), panels)
-        if span >= CHAIN * LINKS and (memory.tries or int(memory.clock) % 4 == 0):
+        if span >= CHAIN * LINKS and (memory.tries or memory.clock % CHAIN == 0.0):
             votes = self._vote_of_chain(memory, votes)
         memory.tries = memory.tries + 1.0 if votes is not None else 0.0
         if votes and (found := decided(votes, memory, self._possible(memory), memory.clock)):
@@ -66,31 +71,38 @@ class MotionWatch(SensorWatch):
         panels = PanelBound(memory.grown, memory.grows)
         noise = np.maximum(self._velocity_noise, _NOISE) / np.sqrt(EVERY)
         left = memory.kept[-span:, self._at["left"]]
-        middles = memory.states[[-1 - min(count, span) // 2 for count in SPANS]]
-        panels.update(left, self._models.at(middles)[0], noise, EVERY * self._step)
+        if memory.clock % BATCH == 0.0:
+            middles = self._at_middles(memory, np.minimum(SPANS, span) // 2)
+            panels.update(left, middles[0], noise, EVERY * self._step)
         return panels
 
-    def _slopes(self, memory: Memory, windows: np.ndarray, ago: np.ndarray) -> Means:
+    def _at_middles(self, memory: Memory, ago: np.ndarray) -> tuple[np.ndarray, ...]:
+        """``Models.at`` at the ends of the batches that are nearest to so many blocks ago."""
+        nearest = np.maximum(np.round((memory.clock - ago) / BATCH), 1.0)
+        back = np.minimum(nearest - memory.clock // BATCH, 0.0).astype(int)
+        return self._models.at(memory.states[back - 1])
+
+    def _slopes(self, memory: Memory, windows: Sequence[int], ago: Sequence[int]) -> Means:
         """Slopes over windows of blocks that ended so many blocks ago."""
-        kept = memory.kept[-int((windows + ago).max(initial=1)) :]
+        kept = memory.kept[-max(map(operator.add, windows, ago), default=1) :]
         left, velocity, told = (kept[:, self._at[name]] for name in ("left", "velocity", "impulse"))
         noise = np.maximum(self._velocity_noise, _NOISE) / np.sqrt(EVERY)
-        step = EVERY * self._step
-        return features.slopes(left, velocity, told, noise, step, windows, ago)
+        return features.slopes(left, velocity, told, noise, EVERY * self._step, windows, ago)
 
     def _means(self, memory: Memory, span: int) -> Means:
         """Slopes, then means that are weighted by forces."""
-        windows = np.array([each for each in WINDOWS if max(each, features.FIRST) <= span])
-        found, count = [self._slopes(memory, windows, 0 * windows)], len(self._force)
-        if count:
-            noise = np.maximum(self._velocity_noise, _NOISE)
-            found.append(features.fired(memory.fired, span, self._force, noise, self._step))
-        return features.joined(found)
+        windows = [each for each in WINDOWS if max(each, features.FIRST) <= span]
+        slopes = self._slopes(memory, windows, [0] * len(windows))
+        if not len(self._force):
+            return slopes
+        noise = np.maximum(self._velocity_noise, _NOISE)
+        fired = features.fired(memory.pulses, span, self._force, noise, self._step)
+        return joined([slopes, fired])
 
     def _places(self, memory: Memory, means: Means, panels: PanelBound | None) -> Places:
         """What the middles of windows tell."""
         middle = -1 - means.middle
-        _, inverse, bound, pushes, payload = self._models.at(memory.states[middle])
+        _, inverse, bound, pushes, payload = self._at_middles(memory, means.middle)
         moved = memory.kept[:, self._at["moved"]]
         turns = np.abs(moved[-1 - means.ago] - moved[-means.window - means.ago])
         turns[:, 3:NUM_BASE_VELOCITIES] = 0.0
@@ -147,8 +159,8 @@ class MotionWatch(SensorWatch):
         """With the vote of slopes that follow one another: a payload that explains each of them
         may not explain all. Flexible parts are free to act on the base.
         """
-        ago, is_free = CHAIN * np.arange(LINKS), np.full(LINKS, self._is_flexible)
-        means = self._slopes(memory, np.full(LINKS, CHAIN), ago)
+        ago, is_free = [CHAIN * link for link in range(LINKS)], np.full(LINKS, self._is_flexible)
+        means = self._slopes(memory, [CHAIN] * LINKS, ago)
         of = features.whitened(means, self._places(memory, means, None), self._box, is_free)
         joints, thrusters = self._in_use(memory)
         among = Hypotheses.of(joints, thrusters[: 0 if self._is_flexible else None])

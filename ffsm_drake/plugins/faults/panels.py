@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ffsm_drake.plugins.faults.windows import times_of
+from ffsm_drake.plugins.faults.windows import BATCH, times_of
 
 SPANS = (20, 32, 64)  # blocks of the slopes that are compared
 AGO = 40  # blocks: a fault of the last 2 s does not widen its own bound
@@ -15,13 +15,13 @@ class PanelBound:
     """A multiple of the largest unexplained force of a window until 2 s ago."""
 
     def __init__(self, grown: np.ndarray, known: np.ndarray) -> None:
-        """Args: largest forces up to each of the last blocks (AGO + 1, spans, 6), updated; for how
+        """Args: largest forces up to each of the last batches (m, spans, 6), updated; for how
         many blocks each span is known (spans), updated.
         """
         self._grown, self._known = grown, known
 
     def update(self, left: np.ndarray, mass: np.ndarray, noise: np.ndarray, step: float) -> None:
-        """Take a block's slopes into account.
+        """Take the slopes at the end of a batch into account.
 
         Args: summed unexplained changes (m, nv) of blocks that are ``step`` s apart; mass matrices
         (spans, nv, nv) in the middle of each of the ``SPANS``; the noise (nv) of a block's
@@ -37,7 +37,7 @@ class PanelBound:
             rough = np.sqrt(of**2 @ noise**2 / (time @ time))
             beyond = np.maximum(np.abs(force) - _NOISES * rough, 0.0)
             now[row] = np.maximum(now[row], beyond[:SIZE])
-            self._known[row] += 1.0
+            self._known[row] += BATCH
         self._grown[:-1] = self._grown[1:]
         self._grown[-1] = now
 

@@ -1,5 +1,9 @@
 """Faults of sensors: silent, frozen, biased; and their ends."""
 
+import itertools
+import math
+import operator
+
 import numpy as np
 
 from ffsm_drake.common.so3 import matrix_of
@@ -8,11 +12,11 @@ from ffsm_drake.plugins.faults.known import CODE, EVERY, LEARNT, OLD, WINDOWS
 from ffsm_drake.plugins.faults.memory import Memory
 from ffsm_drake.plugins.faults.sensors import entries_in_state
 from ffsm_drake.plugins.faults.windows import slope_weights, times_of
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, position_error
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, position_error, position_errors
 
 _REPEATED = 5  # samples with the same bits
 _ALIKE = 0.3  # largest difference of a change that ends a bias, as a share of it
-_JUMP, SLOPE = 1e-3, 1e-3  # m or rad, m/s or rad/s; smaller sensor errors are ignored
+JUMP, SLOPE = 1e-3, 1e-3  # m or rad, m/s or rad/s; smaller sensor errors are ignored
 Slips = tuple[np.ndarray, np.ndarray]  # what ``SensorWatch._slips`` returns
 
 
@@ -21,27 +25,65 @@ class SensorWatch(Correction):
     again.
     """
 
-    def _look_at_sensors(
-        self, memory: Memory, raw: np.ndarray, row: np.ndarray, new: np.ndarray | None
-    ) -> None:
-        """Detect silent, frozen or jumping sensors, and those that work again."""
-        nq, now, before = self._nq, memory.seen, row[self._in["before"]]
-        change = position_error(now[:nq], before[:nq])
-        slip = change - 0.5 * self._step * (now[nq:] + before[nq:])
-        if new is not None:
+    def _look_at_samples(self, memory: Memory) -> None:
+        """Detect silent, frozen or jumping sensors, and those that work again, in the samples that
+        waited: together, if nothing is wrong.
+        """
+        rows = memory.rows[int(memory.done) : int(memory.count) + 1]
+        state, new = rows[:, self._in["state"]], rows[1:, self._in["new"]]
+        now, before, nq, count = state[1:], state[:-1], self._nq, len(rows) - 1
+        change = position_errors(now[:, :nq], before[:, :nq])
+        slip = change - 0.5 * self._step * (now[:, nq:] + before[:, nq:])
+        frozen = np.logical_and.reduceat(now == before, self._columns, axis=1) & self._is_exact
+        jumps = self._jumps(memory, slip)
+        if not memory.limit or frozen.any() or jumps.any() or not new.all():
+            for row in range(int(memory.done) + 1, int(memory.count) + 1):
+                self._look_at_sample(memory, memory.rows[row - 1 : row + 1])
+            return
+        memory.raw[:] = memory.seen[:] = now[-1]
+        gain = count / min(memory.samples + count, 4.0 * LEARNT)
+        memory.jitter += gain * ((slip**2).mean(axis=0) - memory.jitter)
+        rows[1:, self._in["slip"]], rows[1:, self._in["moved"]] = slip, change
+        memory.samples += count
+        memory.done = memory.count
+
+    def _is_usual(self, before: np.ndarray, now: np.ndarray, room: np.ndarray) -> bool:
+        """Whether a state seems to have no frozen or jumping sensor: a fast test."""
+        was, state, rooms = before.tolist(), now.tolist(), room.tolist()
+        if any(map(operator.eq, was, state)) and ((before == now) & self._is_fine_state).any():
+            return False
+        nq, step = self._nq, self._step
+        usual = step * math.hypot(*state[nq : nq + 3]) + rooms[0]
+        slips = map(_slip, state[4:nq], was[4:], state[nq + 3 :], itertools.repeat(step))
+        return 2.0 * math.dist(state[:4], was[:4]) < usual and all(
+            map(operator.lt, slips, rooms[3:])
+        )
+
+    def _look_at_sample(self, memory: Memory, rows: np.ndarray) -> None:
+        """Examine one sample, of which the row follows the one before, and correct its state."""
+        row, nq, before = rows[1], self._nq, memory.seen.copy()
+        raw, new = row[self._in["state"]].copy(), row[self._in["new"]]
+        self._correct(memory, rows, is_first=False)
+        change = position_error(memory.seen[:nq], before[:nq])
+        slip = change - 0.5 * self._step * (memory.seen[nq:] + before[nq:])
+        if new.size:
             memory.stale[:] = np.where(new > 0.0, 0.0, memory.stale + 1.0)
         self._examine(memory, raw, slip)
         gain = 1.0 / min(memory.samples + 1.0, 4.0 * LEARNT)
         memory.jitter += gain * (slip**2 - memory.jitter)
         row[self._in["slip"]], row[self._in["moved"]] = slip, change
+        row[self._in["state"]], memory.raw[:] = memory.seen, raw
+        memory.samples += 1.0
+        memory.done += 1.0
+
+    def _are_calm(self, memory: Memory) -> bool:
+        """Whether no sensor is lost, old or repeats its bits, so that samples may wait."""
+        lost = memory.codes[self._of_sensors].any() or memory.stale.any()
+        return not (lost or memory.repeats[self._is_exact].any())
 
     def _examine(self, memory: Memory, raw: np.ndarray, slip: np.ndarray) -> None:
         """Examine each sensor; the slip of one that does not work is zero."""
         equal, jumps = raw == memory.raw, self._jumps(memory, slip)
-        if not any(map(np.count_nonzero, (equal, jumps, memory.stale, memory.codes))):
-            memory.since[:] = 0.0
-            memory.repeats[:] = 0.0
-            return
         codes = memory.codes[self._of_sensors]
         memory.since += np.concatenate([slip, slip])
         same, works = np.logical_and.reduceat(equal, self._columns), codes == 0.0
@@ -69,20 +111,21 @@ class SensorWatch(Correction):
                 self._lose(memory, name, "biased")
 
     def _jumps(self, memory: Memory, slip: np.ndarray) -> np.ndarray:
-        """Mask of sensors: positions that jump by more than their velocities, if those are not
-        lost, explain.
+        """Mask of sensors (..., n): positions that jump by more than their velocities, if those are
+        not lost, explain, from slips (..., nv).
         """
         count, square = len(self._widths) // 2, slip**2
-        jumps, starts = np.zeros(2 * count, dtype=bool), self._entries[:count]
+        starts = self._entries[:count]
+        jumps = np.zeros((*slip.shape[:-1], 2 * count), dtype=bool)
         if memory.samples < LEARNT:
             return jumps
-        share = np.add.reduceat(square / (memory.jitter + 1e-30), starts)
-        is_clear = share > (self._settings.threshold + 1.0) ** 2
-        if np.count_nonzero(is_clear):
-            is_clear &= np.add.reduceat(square, starts) > _JUMP**2
+        is_clear = np.add.reduceat(square, starts, axis=-1) > JUMP**2
+        if is_clear.any():
+            share = np.add.reduceat(square / (memory.jitter + 1e-30), starts, axis=-1)
+            is_clear &= share > (self._settings.threshold + 1.0) ** 2
             lost = self._lost(memory.codes)[self._nv :]
             is_clear &= self._are_prompt[:count] & ~np.logical_or.reduceat(lost, starts)
-            jumps[:count] = is_clear
+            jumps[..., :count] = is_clear
         return jumps
 
     def _is_at_rest(self, memory: Memory, index: int, entries: np.ndarray) -> bool:
@@ -190,6 +233,10 @@ class SensorWatch(Correction):
                 self._lose(memory, name, "biased")
             elif code == CODE["biased"] and self._ends_bias(memory, entries, off[window, at]):
                 self._read_again(memory, name, memory.raw)
+
+
+def _slip(now: float, before: float, velocity: float, step: float) -> float:
+    return abs(now - before - step * velocity)
 
 
 def noise_of_mean(square: np.ndarray) -> np.ndarray:

@@ -4,6 +4,8 @@ import functools
 
 import numpy as np
 
+BATCH = 4  # blocks that are looked at together while there is no evidence
+
 
 def times_of(count: int, step: float) -> np.ndarray:
     """Times of blocks, from their mean (count), s."""
