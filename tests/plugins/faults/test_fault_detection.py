@@ -8,14 +8,18 @@ import numpy as np
 import pytest
 
 from ffsm_drake import load_scenario, simulate
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.actuators.base import LOST
 from ffsm_drake.plugins.actuators.row import make_base_actuators
-from ffsm_drake.plugins.faults.detection import KINDS
+from ffsm_drake.plugins.faults.detection import KINDS, Detector
 from ffsm_drake.plugins.faults.windows import slope_weights
 from ffsm_drake.runs.exceeded_limits import run_remarks
 from ffsm_drake.runs.phases import make_rollout
+from ffsm_drake.scenario import Grip
 from ffsm_drake.spacecraft.coordinates import position_error
 from ffsm_drake.spacecraft.craft import make_nominal_plant
+from ffsm_drake.systems.sampled import Now
+from ffsm_drake.systems.setup import BlockSetup
 
 NAME, SENSORS = "thrusters_and_wheels", "flight_sensors"
 
@@ -204,3 +208,28 @@ def test_a_slow_sensor_before_a_faulty_one_is_known_to_be_slow(kind):
     faults = {"faults": {"detection": {}, "events": {"it": event}}}
     scenario = load_scenario("slow_navigation", ["duration=0.1", faults])
     assert make_rollout(scenario).run().outcome.completed
+
+
+def test_a_step_depends_on_its_memory_alone():
+    """Another detector goes on with the bits of the first, from any sample, with samples that wait
+    and with ones that do not.
+    """
+    mission = Mission(load_scenario(NAME, [{"faults": {"detection": {}}}]))
+    nominal, rng = mission.craft.nominal(Grip(holds=True)), np.random.default_rng(5)
+    setup = BlockSetup(name="detection", mission=mission, nominal=nominal, settings={})
+    first, other, state = Detector(setup), Detector(setup), np.concatenate([[1.0], np.zeros(22)])
+    memory, waited = first.start(state), 0
+    for sample in range(90):
+        state = state + 1e-5 * rng.standard_normal(state.size)
+        if sample in (41, 63):
+            state[6] += 0.1  # a jump of a position
+        inputs = {name: np.zeros(size) for name, size in first.inputs.items()} | {"state": state}
+        for values in memory.values():
+            values.flags.writeable = False
+        other = Detector(setup) if sample % 30 == 0 else other
+        found = [each.step(inputs, memory, Now(0.01 * sample)) for each in (first, other)]
+        for mine, others in zip(*found, strict=True):
+            assert all(np.array_equal(mine[name], others[name]) for name in mine)
+        waited += found[0][1]["kept"] is memory["kept"]
+        memory = found[0][1]
+    assert 60 < waited < 90
