@@ -163,8 +163,7 @@ class Detector(ForceWatch, Sampled):
             rows[last + width : last + width + row.size], rows[1] = row, count + 1.0
             after["rows"] = rows
         else:
-            changed = self.remembered(memory)
-            self._look_at(changed, row)
+            changed = self._looked_at(self.remembered(memory), row)
             seen, after = changed.seen.copy(), dict(changed.arrays())
         outputs = {
             "estimated_state": seen, "fault_detected": before,
@@ -189,9 +188,9 @@ class Detector(ForceWatch, Sampled):
             parts.append(inputs[IS_NEW])
         return np.concatenate(parts)
 
-    def _look_at(self, memory: Memory, row: np.ndarray) -> None:
-        """Bring the memory up to date with a sample and those that waited; ``seen`` is the state
-        without lost sensors.
+    def _looked_at(self, memory: Memory, row: np.ndarray) -> Memory:
+        """The memory with a sample and those that waited; ``seen`` is the state without lost
+        sensors.
         """
         is_first = memory.leg != self._leg
         if is_first and memory.leg >= 0.0:  # the last sample may have waited
@@ -209,9 +208,23 @@ class Detector(ForceWatch, Sampled):
         else:
             self._look_at_samples(memory)
             if at % EVERY == 0 and at >= memory.limit:
-                self._collect(memory)
-                self._look_at_blocks(memory, at // EVERY)
+                memory = self._with_batch(memory, at)
         blocks = 1.0 if memory.tries else BATCH - memory.clock % BATCH
         memory.limit = blocks * EVERY * self._are_calm(memory)
         # smaller jumps are found with the others of a batch
         memory.room[:] = np.maximum(JUMP, self._settings.threshold * np.sqrt(memory.jitter))
+        return memory
+
+    def _with_batch(self, memory: Memory, size: int) -> Memory:
+        """The memory with a batch of so many samples: looked at together, and if there is evidence,
+        anew block by block.
+        """
+        together = self.remembered(memory.arrays()) if size > EVERY else memory
+        if size > EVERY:
+            self._look_at_blocks(together, self._collect(together, 0, size))
+        if together is memory or together.tries:
+            for first in range(0, size, EVERY):
+                self._look_at_blocks(memory, self._collect(memory, first, EVERY))
+            together = memory
+        together.rows[0], together.count, together.done = together.rows[size], 0.0, 0.0
+        return together

@@ -19,14 +19,14 @@ class ForceWatch(MotionWatch):
     essential to the allocation, raises ``abort_request``.
     """
 
-    def _collect(self, memory: Memory) -> None:
-        """Add the blocks that the samples form to what is kept."""
-        size, count, step = int(memory.count), len(self._force), self._step
-        rows, blocks = memory.rows[: size + 1], size // EVERY
+    def _collect(self, memory: Memory, first: int, size: int) -> int:
+        """Add the blocks that some samples form to what is kept; return how many they are."""
+        count, step, before = len(self._force), self._step, memory.samples - memory.done
+        rows, blocks = memory.rows[first : first + size + 1], size // EVERY
         velocity, told = rows[:, self._in["state"]][:, self._nq :], rows[:, self._in["told"]]
-        beyond, expected = self._changes(rows, memory.samples - size)
+        beyond, expected = self._changes(rows, before)
         left, now = np.diff(velocity, axis=0) - expected, velocity[1:]
-        self._find_jumps(memory, left)
+        self._find_jumps(memory, left, rows[0, self._in["state"]], before)
         moves = rows[1:, self._in["slip"]], rows[1:, self._in["moved"]]
         parts = left, *moves, 0.0 * now, step * told[1:, :count], step * told[:-1, count:], beyond
         sums = np.cumsum(np.vstack([memory.sums, np.hstack(parts)]), axis=0)[1:]
@@ -34,7 +34,7 @@ class ForceWatch(MotionWatch):
         memory.sums[:] = sums[-1]
         means = sums.reshape(blocks, EVERY, -1).mean(axis=1)
         memory.kept = np.vstack([memory.kept[blocks:], means])
-        memory.rows[0], memory.count, memory.done = memory.rows[size], 0.0, 0.0
+        memory.done -= size
         memory.blocks += blocks
         memory.span += blocks
         if count:
@@ -44,21 +44,27 @@ class ForceWatch(MotionWatch):
             features.pulses(memory.pulses, samples, told[size - fresh :, :count], fresh // EVERY)
         memory.clock += blocks
         if memory.clock % BATCH == 0.0:
-            memory.states = np.vstack([memory.states[1:], memory.seen])
+            memory.states = np.vstack([memory.states[1:], rows[-1, self._in["state"]]])
+        return blocks
 
-    def _find_jumps(self, memory: Memory, left: np.ndarray) -> None:
-        """Find velocities that jump: they begin a new window of their sensors."""
-        _, inverse, _, pushes, _ = self._models.at(memory.rows[:1, self._in["state"]])
+    def _find_jumps(
+        self, memory: Memory, left: np.ndarray, state: np.ndarray, before: float
+    ) -> None:
+        """Find velocities that jump: they begin a new window of their sensors.
+
+        Args: unexplained changes; the state before them; how many samples were before.
+        """
+        _, inverse, _, pushes, _ = self._models.at(state[None])
         reach = self._step * np.abs(inverse[0] @ pushes[0]) @ self._force
         bound = self._settings.threshold * np.sqrt(memory.rough) + reach
-        first = int(max(LEARNT - memory.samples + len(left), 0))
+        first = int(max(LEARNT - before, 0))
         jumps = (np.abs(left) > bound).any(axis=1) & (np.arange(len(left)) >= first)
         begins = np.flatnonzero(jumps & ~np.append(memory.jumped > 0.0, jumps[:-1]))
         if begins.size and memory.blocks >= WINDOWS[0]:
             memory.blocks = -1.0 - begins[0] // EVERY
         memory.jumped = float(jumps[-1])
         change = np.where(jumps[:, None], np.clip(left, -bound, bound), left)
-        gain = len(left) / min(memory.samples, 4.0 * LEARNT)
+        gain = len(left) / min(before + len(left), 4.0 * LEARNT)
         memory.rough += gain * ((change**2).mean(axis=0) - memory.rough)
 
     def _look_at_blocks(self, memory: Memory, blocks: int) -> None:
