@@ -6,9 +6,10 @@
 Processor time of a case as a worker and the driver spend it: its scenario checked, built and run,
 predictions, metrics, and its row stored. The same cases run one by one and as one batch, in turns
 in one process, because a machine's speed changes from minute to minute; minima of the repeats.
-Names of shipped campaigns are those, ``payload_uncertainty`` with its four laws; shipped scenarios
-have a seed and payload that differ from case to case. ``--engine`` is the engine of the batch; one
-by one the cases run on Drake. ``--compare`` measures no time: it compares their rows with Drake's.
+Names of shipped campaigns are those, ``payload_uncertainty`` with its four laws, and ``NAME.yaml``
+is a file of one. Shipped scenarios have a seed and payload that differ from case to case.
+``--engine`` is the engine of the batch; one by one the cases run on Drake. ``--compare`` measures
+no time: it compares their rows with Drake's.
 """
 
 import argparse
@@ -46,7 +47,8 @@ def spec_of(name: str, folder: Path, *, cases: int, duration: float | None) -> S
     """A shipped campaign of that name, else one of the scenario, with at least one case more than
     so many: the first may run on two engines.
     """
-    shipped = None if name in shipped_scenarios() else shipped_campaigns()[name]
+    own = Path(name) if name.endswith(".yaml") else None
+    shipped = own or (None if name in shipped_scenarios() else shipped_campaigns()[name])
     data: dict[str, Any] = {} if shipped is None else yaml.safe_load(shipped.read_text("utf-8"))
     if shipped is None:
         payload = load_scenario(name).payload
@@ -63,7 +65,7 @@ def spec_of(name: str, folder: Path, *, cases: int, duration: float | None) -> S
         data["overrides"] = {**data.get("overrides", {}), "duration": duration}
         settled = data.get("settled", {})
         data["settled"] = {**settled, "hold": min(settled.get("hold", 1.0), duration)}
-    file = folder / f"{name}.yaml"
+    file = folder / f"{Path(name).stem}.yaml"
     data["cases"] = max(cases + 1, data.get("cases", 0))
     file.write_text(yaml.safe_dump(data, sort_keys=False), encoding="utf-8")
     return load_spec(file)
