@@ -4,6 +4,7 @@ import numpy as np
 
 _STEPS, _GAP = 40, 0.5  # steps at most; largest excess of half a sum of squares
 _BACK, _CENTRED, _LEAST = 0.95, 0.1, 1e-4  # share of the way to a bound; of the barrier
+_FLAT = 1e-12  # least weight of an unknown, share of its column's squares
 _DAMPED, _GUESSES = 16.0, 6  # weight of the squares of changes in the first guesses; their number
 
 
@@ -81,7 +82,8 @@ def _advanced(
     """The change of x within +-1, and the next multipliers of both bounds."""
     over, under = 1.0 + x, 1.0 - x
     barrier = np.maximum(_CENTRED * gap / (2.0 * x.shape[1]), _LEAST)[:, None]
-    weight = up / over + down / under
+    # no less than rounding of an unknown's own curvature, or the system cannot be solved
+    weight = np.maximum(up / over + down / under, _FLAT * (matrix**2).sum(axis=1))
     pull = np.einsum("nij,ni->nj", matrix, left) + barrier / over - barrier / under
     by_weight = matrix / weight[:, None]
     system = np.eye(matrix.shape[1]) + by_weight @ matrix.swapaxes(1, 2)

@@ -42,6 +42,27 @@ def test_squares_agree_with_scipy(rows, columns, seed):
         assert exact - 1e-6 <= squares[each] <= exact + 1.0
 
 
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6))
+def test_squares_are_right_with_unknowns_of_any_size(seed):
+    """As a jam's force, which may be 1e9 standard deviations in one feature."""
+    rng = np.random.default_rng(seed)
+    rows, columns = rng.integers(6, 41), rng.integers(3, 45)
+    large = rng.integers(1, min(rows, columns) // 2 + 1)
+    matrix = rng.normal(size=(4, rows, columns)) * 10.0 ** rng.uniform(-2, 2, (4, 1, columns))
+    matrix[:, :, :large] *= 10.0 ** rng.uniform(2, 7, (4, 1, large))
+    if seed % 2:  # each in rows of its own
+        rows_of = np.arange(rows)[:, None] // 5 == np.arange(large) % (rows // 5 + 1)
+        matrix[:, :, :large] *= rows_of
+    values, box = rng.normal(size=(4, rows)) * 10.0 ** rng.uniform(0, 3), np.ones((4, columns))
+    squares, _ = least_squares(matrix, values, -box, box)
+    scale = np.maximum(np.linalg.norm(matrix, axis=1), 1.0)
+    for each in range(4):
+        alike = matrix[each] / scale[each]
+        exact = lsq_linear(alike, values[each], (-scale[each], scale[each]), method="bvls")
+        assert squares[each] <= 2.0 * exact.cost + 1.0 + 1e-6 * (values[each] @ values[each])
+
+
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6))
 def test_squares_that_are_enough_are_reached_by_the_values_returned(seed):
