@@ -5,7 +5,7 @@ PLUGIN = Plugin(
     page="many_runs",
     extras=("compiled",),
     needs=("equations", "tape"),
-    uses=("actuators", "capture", "two_arms"),
+    uses=("actuators",),
     brings={
         "engines": {"compiled": "compiled.engine:Compiled"},
         "traced_samples": {"compiled": "compiled.sample:traced_sample"},
