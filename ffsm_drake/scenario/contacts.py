@@ -7,13 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ffsm_drake.common.settings import Problems, setting
-from ffsm_drake.scenario.fields import (
-    ORIGIN,
-    choice_of,
-    sample_problems,
-    unitless,
-    vector_in,
-)
+from ffsm_drake.scenario.fields import ORIGIN, choice_of, sample_problems, unitless, vector_in
 from ffsm_drake.scenario.model import NOTHING, Payload
 
 CONTACT_KINDS = ("rigid", "compliant")
@@ -165,16 +159,16 @@ def _contact_problems(scenario: Any) -> Problems:
         return
     yield from _of_hands(scenario)
     yield from _of_late_hands(scenario)
-    # A jam and the contacts would each need the other's force at the same instant, detection
-    # compares with a plant without contacts, and a supervisor restarts the law's internal force.
+    # Detection compares with a plant without contacts, and a supervisor restarts the law's internal
+    # force.
     for key, problem in (
         ("capture.closing", scenario.closing is not None),
         ("capture.joints", scenario.grasps and scenario.capture.joints == "braked"),
         ("reference.frame", scenario.reference.frame is not None),
         ("reference.kind", scenario.reference.kind == "optimal"),
         ("actuation.driven", bool(scenario.undriven)),
-        ("supervisor", scenario.supervisor is not None),
-        ("faults", scenario.faults is not None),
+        ("supervisor", scenario.supervisor),
+        ("faults.detection", getattr(scenario.faults, "detection", None)),
     ):
         if problem and len(scenario.contacts) > 1:
             yield key, "is not supported with more than one contact; remove it"

@@ -31,8 +31,10 @@ class JammedJoints(BreakingPart):
 
     @classmethod
     def failing_units(cls, scenario: Scenario, coordinates: Coordinates) -> Iterable[str]:
-        """Every joint."""
-        return coordinates.joints
+        """Every joint; none with several contacts, since a jam and the contacts would each need
+        the other's force at the same instant.
+        """
+        return coordinates.joints if len(scenario.contacts) < 2 else ()
 
     def build(self, setup: BlockSetup) -> "Jam":
         """The force of the jam."""

@@ -52,8 +52,10 @@ def drawn(kind, seed, lanes=LANES, also=()):
         given += [f"capture.servicer={servicer}", f"capture.approach={APPROACH}"]
     elif is_late:
         given.append({"initial_posture": {"joints": AWAY}})
-    if kind == "flight":
+    if kind in ("flight", "faulty"):
         given += [*FLIGHT, *ACTUATORS]
+    if kind == "faulty":
+        given.append("faults.events={one: {time: [0.1, 0.6], duration: 0.1}}")
     if kind == "missed":
         given.append("sensing.position_bias={right_1: 0.1}")
         width = "{position: 0.5, angle: 0.2, velocity: null}"
@@ -78,7 +80,7 @@ def test_a_second_hand_has_the_run_of_drake():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["late", "both", "approach", "missed", "flight"])
+@pytest.mark.parametrize("kind", ["late", "both", "approach", "missed", "flight", "faulty"])
 @pytest.mark.parametrize("seed", range(DRAWS))
 def test_drawn_hands_have_the_runs_of_drake(kind, seed):
     found = check(drawn(kind, seed), called=None)
@@ -90,7 +92,7 @@ def test_drawn_hands_have_the_runs_of_drake(kind, seed):
         }
     for record in found:
         assert record.engine.startswith("compiled")
-        if record.outcome.status == "completed":
+        if record.outcome.status == "completed" and kind != "faulty":
             assert record.metrics["contacts"]["gap"] < 1e-9
 
 
