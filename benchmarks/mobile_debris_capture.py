@@ -27,7 +27,7 @@ from scipy.stats import beta
 from ffsm_drake.common.so3 import matrix_of, quaternion_of, rotation_vector_motion, turned_by
 from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.capture.approach import Backwards, margins_of, shares_of
-from ffsm_drake.runs.exceeded_limits import limits_left
+from ffsm_drake.plugins.design.limits_left import limits_left
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import EMPTY, Posture, Scenario, load_scenario
 from ffsm_drake.scenario.capture import Approach

@@ -13,20 +13,18 @@ import numpy as np
 from ffsm_drake.common.numbers import percent, usable
 from ffsm_drake.mission import Mission
 from ffsm_drake.runs.integration import integration_remarks
-from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import phases_of
 from ffsm_drake.runs.record import RunRecord
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.spacecraft.clearance import TOLERANCE, Nearest, in_words, shapes_of
+from ffsm_drake.spacecraft.clearance import Nearest, in_words, shapes_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
-from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, SLACK, Limit, tightest
+from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, Limit
 from ffsm_drake.systems.faults import settle_faults
-from ffsm_drake.systems.mission_limits import joint_limits, limits_of
+from ffsm_drake.systems.mission_limits import joint_limits
 
 if TYPE_CHECKING:
     from ffsm_drake.runs.table import Labelled
 
-CLEARANCE = "clearance"  # its name among the exceeded limits
 INSTANTS = 51  # at which the clearance of a plan is evaluated; twice as many for a run
 
 
@@ -184,62 +182,6 @@ def saturation(record: RunRecord) -> dict[str, float]:
     limit = coordinates.vector(scenario.actuation.limit, key="actuation.limit", default=np.inf)
     shares = (np.abs(data["generalized_force"].values) > limit).mean(axis=0)
     return {name: float(share) for name, share in zip(names, shares, strict=True) if share > 0.0}
-
-
-def limits_left(log: RunLog, near: tuple[np.ndarray, np.ndarray] | None = None) -> dict[str, float]:
-    """Times of a run's first excess of each of its limits, s: commanded forces, rates and positions
-    of the coordinates, limits of parts, clearance.
-
-    ``near``: the run's ``distances_in``, if already known.
-    """
-    clearance = shapes_of(log.scenario)
-    parts = [placed.part for placed in log.parts.values()]
-    limits = limits_of(log.mission, parts, helped=True)
-    q, v = np.split(log.series["state"], [len(log.coordinates.position_names)], axis=1)
-    motion = {FORCE: log.generalized_force, RATE: v, POSITION: q[:, 1:]}
-    found = {}
-    for limit in (
-        *(tightest(limits, quantity) for quantity in motion),
-        *(limit for limit in limits if limit.quantity not in motion and limit.quantity in log),
-    ):
-        values = motion[limit.quantity] if limit.quantity in motion else log[limit.quantity]
-        left = limit.used(values.reshape(len(values), -1)) > 1.0 + SLACK
-        what = {FORCE: "force on", RATE: "velocity of"}.get(limit.quantity, f"{limit.quantity} of")
-        for i in np.flatnonzero(left.any(axis=0)):
-            found[f"{what} {limit.names[i]}"] = float(log.time[np.argmax(left[:, i])])
-    times, distances = distances_in(log) if near is None else near
-    too_near = distances < log.scenario.clearance - TOLERANCE
-    if clearance.unmeasured:
-        found[CLEARANCE] = float(log.time[0])
-    elif too_near.any():
-        found[CLEARANCE] = float(times[np.argmax(too_near)])
-    return found
-
-
-def distances_in(log: RunLog) -> tuple[np.ndarray, np.ndarray]:
-    """Instants of a run, s (n), and the smallest distance of parts then, m (n), with hidden
-    coordinates as logged and, before the grasp, the target where it then was.
-    """
-    held = 0 if log.grasp is None else log.grasp.sample
-    positions = log.table["position"].values
-    hidden = np.empty((log.time.size, 0))
-    if "hidden_state" in log.series:
-        hidden = np.split(log.series["hidden_state"], 2, axis=1)[0]
-    times, found = [np.empty(0)], [np.empty(0)]
-    for first, last in ((0, held), (held, log.time.size)):
-        if first >= last:
-            continue
-        samples = np.unique(np.linspace(first, last - 1, INSTANTS).round().astype(int))
-        parts, apart = [positions[samples], hidden[samples]], False
-        if last == held and log.grasp is not None:
-            parts.insert(1, log.grasp.target[samples, :7])
-            apart = True
-        shapes, q = shapes_of(log.scenario, apart=apart), np.hstack(parts)
-        if shapes.pairs:
-            good = usable(q)
-            times.append(log.time[samples[good]])
-            found.append(np.array([shapes.nearest(each).distance for each in q[good]]))
-    return np.concatenate(times), np.concatenate(found)
 
 
 def remarks_on(

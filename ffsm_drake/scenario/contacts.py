@@ -120,9 +120,10 @@ class InternalForce:
     """Integral control of the wrench in contacts that close a loop, measured at their wrists."""
 
     gain: float = setting(5.0, "1/s", "gain on the integral of the error of the wrench", least=0)
-    share: float = unitless(
-        0.0,
-        "share of the force and moment that move the nominal target, which these contacts carry",
+    share: float | None = unitless(
+        None,
+        "share of the force and moment that move the nominal target, which these contacts carry; "
+        "null: by the joints' ``actuation.limit``, or 0 if no joint has one",
         least=0,
         most=1,
     )
@@ -217,7 +218,6 @@ def _of_late_hands(scenario: Any) -> Problems:
     for key, problem, change in (
         ("blocks.reference", scenario.blocks.reference, "remove it"),
         ("blocks.forces.contacts", "contacts" in scenario.blocks.forces, "rename it"),
-        ("reference.duration", scenario.reference.duration is None, "give seconds"),
     ):
         if late and problem:
             yield key, f"is not compatible with contacts.{next(iter(late))}.closes; {change}"

@@ -338,7 +338,6 @@ _OF_THE_RUN = (
     "python_path",
     "estimator",
     "command_filter",
-    "chain",
     "disturbance",
     "environment",
     "sensing",

@@ -55,6 +55,11 @@ class Limit:
         """Lower and upper bounds of the joints alone, of a limit of coordinates."""
         return self.lower[NUM_BASE_VELOCITIES:], self.upper[NUM_BASE_VELOCITIES:]
 
+    def told(self, i: int) -> str:
+        """What the limit of a component bounds, in words."""
+        what = {FORCE: "force on", RATE: "velocity of"}.get(self.quantity, f"{self.quantity} of")
+        return f"{what} {self.names[i]}"
+
     def used(self, values: np.ndarray) -> np.ndarray:
         """Return the used share of values (samples, n): 1 at a bound, more beyond it; -inf for NaN.
 

@@ -1,8 +1,9 @@
 """The shortest duration in which a planned motion keeps the limits, with the nominal payload."""
 
 import bisect
+import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from ffsm_drake.common.errors import LimitError, ScenarioError
 from ffsm_drake.common.numbers import number
 from ffsm_drake.mission import Mission
-from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, Limit, tightest
+from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, Limit
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.mission_limits import limits_of
 
@@ -29,9 +30,9 @@ def shortest_duration(
 ) -> float:
     """Return the shortest duration, in s and whole control samples, of a motion within every limit.
 
-    The limits are forces (actuators and URDFs) and joint velocities (URDFs and drives), both less
-    ``reference.reserve``, and the URDFs' joint positions. The force comes from inverse dynamics
-    with the nominal payload.
+    The limits are forces (actuators and URDFs), joint velocities (URDFs and drives) and wrenches of
+    contacts, less ``reference.reserve``, and the URDFs' joint positions. The force comes from
+    inverse dynamics with the nominal payload.
 
     Args:
       motion_in: duration, s -> the motion.
@@ -44,14 +45,13 @@ def shortest_duration(
     scenario = mission.scenario
     key, free = "reference.duration", 1.0 - scenario.reference.reserve
     model, limits = mission.craft.nominal(), limits_of(mission)
-    force, rate, position = (tightest(limits, each) for each in (FORCE, RATE, POSITION))
-    if not np.isfinite(np.concatenate([force.upper, rate.upper])).any():
+    if not any(np.isfinite(each.upper).any() for each in limits if each.quantity in (FORCE, RATE)):
         raise ScenarioError(
             key,
             "auto needs a limit of force or velocity: give actuation.limit, actuators that have "
             "one, or a number of seconds",
         )
-    worst = _worst_of(model, motion_in, force, rate, position, free=free, shaped_by=shaped_by)
+    worst = _worst_of(model, motion_in, limits, free=free, shaped_by=shaped_by)
     sample_time, least = scenario.sample_time, (math.inf, "", 0.0)
     before = samples = math.floor(_LEAST_SHAPED * shaped_by / sample_time) + 1
     while samples * sample_time <= _LONGEST:
@@ -77,9 +77,7 @@ def shortest_duration(
 def _worst_of(
     model: PlantModel,
     motion_in: Callable[[float], "PlannedMotion"],
-    force: Limit,
-    rate: Limit,
-    position: Limit,
+    limits: Iterable[Limit],
     *,
     free: float,
     shaped_by: float,
@@ -87,21 +85,22 @@ def _worst_of(
     """Duration, s -> the largest fraction of a limit used by its motion, and that limit's name; the
     share ``free`` of forces and rates is usable.
     """
-    named = ("force on", "velocity of", "position of")
-    names = [f"{what} {name}" for what in named for name in model.coordinates.names]
+    usable = [
+        each
+        if each.quantity == POSITION
+        else dataclasses.replace(each, upper=free * each.upper, lower=free * each.lower)
+        for each in limits
+    ]
 
     def worst(duration: float) -> tuple[float, str]:
         motion = motion_in(duration)
         instants = math.ceil(_INSTANTS * duration / (duration - shaped_by))
-        times = np.linspace(motion.begin, motion.end, instants)
-        q, v, a = motion.evaluate(times)
-        shares = [
-            np.abs(model.calc_tracking_force(q, v, a)) / (free * force.upper),
-            np.abs(v) / (free * rate.upper),
-            position.used(q[:, 1:]),
-        ]
-        largest = np.concatenate([share.max(axis=0) for share in shares])
-        index = int(np.argmax(largest))
-        return float(largest[index]), names[index]
+        found = motion.demand(model, motion.instants(instants))
+        shares = list[tuple[float, str]]()
+        for limit in usable:
+            if limit.quantity in found:
+                most = limit.used(found[limit.quantity]).max(axis=0)
+                shares.append((float(most.max()), limit.told(int(most.argmax()))))
+        return max(shares)
 
     return worst

@@ -7,6 +7,8 @@ from typing import Protocol
 import numpy as np
 
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE
+from ffsm_drake.spacecraft.nominal import PlantModel
 
 # control samples computed together: NumPy takes little longer for them than for one; fewer after a
 # jump, as those of a linearisation at an instant
@@ -36,6 +38,25 @@ class PlannedMotion(abc.ABC):
     def remarks(self) -> list[str]:
         """Deviations of the motion from its specification, a line each."""
         return []
+
+    def instants(self, count: int) -> np.ndarray:
+        """Times (n,), s, at which to compare the motion with limits, at least as many as given."""
+        return np.linspace(self.begin, self.end, count)
+
+    def demand(
+        self, model: PlantModel, times: np.ndarray, push: np.ndarray | float = 0.0
+    ) -> dict[str, np.ndarray]:
+        """Values (n, k) of what has limits, by quantity, at times (n,) under perfect tracking.
+
+        Args: the plant with its payload; times, s; other forces (n, nv) that act.
+        """
+        q, v, a = self.evaluate(times)
+        force = model.calc_tracking_force(q, v, a) - push
+        return self.shared(times, {POSITION: q[:, 1:], RATE: v, FORCE: force})
+
+    def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """``demand`` of the tree, with what the loops of a closed chain change."""
+        return found
 
     def part(self, share: float) -> float:
         """Time at which a fraction (0 to 1) of the motion with the target held has passed, s."""
@@ -106,3 +127,8 @@ class InTurn(PlannedMotion):
         for begin, motion in later:
             rows = np.where((times > begin - 1e-9)[:, None], motion.rows(times - begin), rows)
         return rows
+
+    def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """See PlannedMotion: the target is held in the last motion."""
+        begin, last = self._motions[-1]
+        return last.shared(times - begin, found)

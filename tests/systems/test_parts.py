@@ -27,7 +27,6 @@ from ffsm_drake import (
 )
 from ffsm_drake.cli import main
 from ffsm_drake.common.numbers import NONE
-from ffsm_drake.runs.exceeded_limits import limits_left
 from ffsm_drake.runs.metrics import momentum_residual
 from ffsm_drake.runs.rollout import Rollout, user_supplied
 from ffsm_drake.show.outputs import REPORTS
@@ -490,6 +489,7 @@ class Bounded(Part):
 
 def test_a_run_knows_when_it_exceeds_the_limit_of_a_part():
     scenario = load_scenario("flight_sensors", ["controller=tdc", "duration=0.3"])
+    limits_left = pytest.importorskip("ffsm_drake.plugins.design.limits_left").limits_left
     left = limits_left(Rollout(scenario, blocks={"actuation": Bounded()}).run())
     assert left == {"ramp of ramp": pytest.approx(0.1 + scenario.sample_time)}
 

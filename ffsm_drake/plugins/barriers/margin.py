@@ -8,6 +8,7 @@ from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.barriers.guarded import GuardedLaw
 from ffsm_drake.scenario import EMPTY, HELD, Grip
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
+from ffsm_drake.spacecraft.limits import FORCE
 from ffsm_drake.systems.controllers import make_controller
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
@@ -65,8 +66,8 @@ def margins_along(
     nominal, true = mission.craft.nominal(grip), mission.craft.true(grip)
     law = make_controller(mission, nominal).law
     assert isinstance(law, GuardedLaw)
-    q, v, a = motion.evaluate(times)
-    force = true.calc_tracking_force(q, v, a)
+    q, v, _ = motion.evaluate(times)
+    force = motion.demand(true, times)[FORCE]
     predicted = np.array([
         np.linalg.solve(nominal.calc_mass_matrix(each), own - nominal.calc_bias(each, rate))
         for each, rate, own in zip(q, v, force, strict=True)

@@ -13,9 +13,10 @@ from ffsm_drake.common.errors import LimitError, one_line
 from ffsm_drake.common.numbers import number
 from ffsm_drake.loop.blocks import is_rehearsed, parts_of
 from ffsm_drake.plugins.campaign.spec import OLD_ENGINE, Spec
+from ffsm_drake.plugins.design.limits_left import CLEARANCE, distances_in, limits_left
 from ffsm_drake.runs.ending import GROWING, NOT_CAPTURED
 from ffsm_drake.runs.engine import DRAKE
-from ffsm_drake.runs.exceeded_limits import CLEARANCE, distances_in, limits_left, not_measured
+from ffsm_drake.runs.exceeded_limits import not_measured
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.metrics import METRICS, drift_metrics, frame_figures
 from ffsm_drake.spacecraft.clearance import in_words

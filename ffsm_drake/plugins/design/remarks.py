@@ -169,13 +169,12 @@ def _motion_remarks(
     model's payload; positions are those of the postures.
     """
     times = np.linspace(begin, end, _POSTURES)
-    q, v, a = plan.evaluate(times)
-    motion = {RATE: v}
-    if np.isfinite(tightest(limits, FORCE).upper).any():
-        motion[FORCE] = model.calc_tracking_force(q, v, a)
-        if drives is not None:
-            motion[FORCE][:, NUM_BASE_VELOCITIES:] -= drives.friction(v[:, NUM_BASE_VELOCITIES:])
-            limits = [*limits[:-1], _at_rate(limits[-1], drives, v, motion[FORCE])]
+    motion = plan.demand(model, times)
+    v = motion[RATE]
+    del motion[POSITION]
+    if drives is not None and np.isfinite(tightest(limits, FORCE).upper).any():
+        motion[FORCE][:, NUM_BASE_VELOCITIES:] -= drives.friction(v[:, NUM_BASE_VELOCITIES:])
+        limits = [*limits[:-1], _at_rate(limits[-1], drives, v, motion[FORCE])]
     yield from remarks_on(
         limits,
         motion,

@@ -22,6 +22,7 @@ from ffsm_drake.common.steps import step
 from ffsm_drake.loop.blocks import is_rehearsed
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.momentum import momentum_budget, momentum_lines
+from ffsm_drake.plugins.design.limits_left import CLEARANCE, limits_left
 from ffsm_drake.plugins.design.remarks import plan_clearance, plan_limits, plan_remarks
 from ffsm_drake.plugins.design.remedies import remedies
 from ffsm_drake.plugins.design.remedy_file import run_advice
@@ -40,7 +41,7 @@ from ffsm_drake.plugins.design.stability.rehearsal import (
 )
 from ffsm_drake.runs.dataset import make_table
 from ffsm_drake.runs.ending import NOT_SETTLED, Ending
-from ffsm_drake.runs.exceeded_limits import CLEARANCE, broken_limits, limits_left
+from ffsm_drake.runs.exceeded_limits import broken_limits
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.runs.record import RunRecord

@@ -91,6 +91,16 @@ class Constraints:
         """The gaps (m)."""
         return _stacked(q[:0], [each.gap(self.model, q) for each in self.closures])
 
+    def least_wrench(self, q: Any, force: Any, weight: np.ndarray) -> Any:
+        """F (m) with the least sum of weight (tau + A' F)^2 over the velocities.
+
+        F = -(A W A')^-1 A W tau, in a configuration q (nq), of the tree's force tau (nv) and its
+        weights W (nv). It acts on the target; tau + A' F moves the chain as tau does.
+        """
+        A = self.jacobian(q)
+        weighted = A * weight
+        return -np.linalg.solve(weighted @ A.T, weighted @ force)
+
     def wrench(self, along: Any) -> Any:
         """(6 for each loop) from what is along the constraints (m)."""
         return along if self.is_spatial else self.wrench_map @ along

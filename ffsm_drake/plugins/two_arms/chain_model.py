@@ -15,6 +15,7 @@ from ffsm_drake.common.choice import is_known
 from ffsm_drake.common.products import applied, product, times
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Constraints
+from ffsm_drake.plugins.two_arms.internal import force_limits, squared_limits
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.free_floating import ReducedModel
 from ffsm_drake.spacecraft.nominal import PlantModel, stacked
@@ -199,10 +200,6 @@ def minimal_model(mission: Mission, chain: ClosedChain) -> ChainModel:
         tuple(coordinates.joint_units[i] for i in joints),
         coordinates.undriven,
     )
-    limit = coordinates.vector(
-        scenario.actuation.limit or {}, key="actuation.limit", default=np.inf
-    )
-    largest = limit[np.isfinite(limit)].max(initial=1.0)
     return ChainModel(
         plant=tree.plant,
         context=tree.context,
@@ -212,7 +209,7 @@ def minimal_model(mission: Mission, chain: ClosedChain) -> ChainModel:
         constraints=chain.constraints,
         free=_as_slice(free),
         following=_as_slice(chosen),
-        share=np.where(np.isfinite(limit), limit / largest, 1.0) ** 2,
+        share=squared_limits(force_limits(scenario, coordinates)),
     )
 
 

@@ -122,18 +122,19 @@ class Contacts(Part):
 
     def limits(self, coordinates: Coordinates) -> Sequence[Limit]:
         """The limits of the wrenches."""
-        given = [
-            each for one in self.contacts.values() for each in (one.moment_limit, one.force_limit)
-        ]
-        if not any(given):
+        given = {
+            f"contacts.{name}.{key}": getattr(contact, key)
+            for name, contact in self.contacts.items()
+            for key in ("moment_limit", "force_limit")
+        }
+        if not any(given.values()):
             return ()
-        bound = np.repeat([np.inf if each is None else each for each in given], 3)
-        names = self._components
+        bound = np.repeat([np.inf if each is None else each for each in given.values()], 3)
         return [
             Limit(
                 quantity=WRENCHES,
-                source="the limits of the contacts",
-                names=names,
+                source=" or ".join(key for key, each in given.items() if each),
+                names=tuple(f"{name}_{axis}" for name in self.contacts for axis in WRENCH),
                 units=tuple(self._units.values()),
                 upper=bound,
                 lower=-bound,

@@ -12,16 +12,15 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from pydrake.multibody.tree import Frame
 
 from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.common.products import times
-from ffsm_drake.common.so3 import cross_of
-from ffsm_drake.plugins.two_arms.chain import ClosedChain, Constraints
+from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.plugins.two_arms.chain_model import ChainModel, minimal_model
+from ffsm_drake.plugins.two_arms.internal import InternalControl, internal_control
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.scenario.contacts import InternalForce, closing_contacts
-from ffsm_drake.spacecraft.plant import DRAKE_ERRORS, find_body
+from ffsm_drake.scenario.contacts import closing_contacts
+from ffsm_drake.spacecraft.plant import DRAKE_ERRORS
 from ffsm_drake.systems.controllers.controller import OPTIONAL_OUTPUTS
 from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State, WrappedLaw
 from ffsm_drake.systems.setup import BlockSetup
@@ -31,52 +30,6 @@ _INTERNAL = "internal_force"
 _OF_ALL = (*OPTIONAL_OUTPUTS, "delayed_desired_velocity", "delayed_velocity")
 # Sections that give values by coordinate to a law.
 _OF_A_LAW = ("controllers", "estimator", "sensing")
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class InternalControl:
-    """Integral action on the wrenches at the contacts; F (..., m) is its force on the target."""
-
-    gain: float  # times the sample time
-    preload: np.ndarray  # (m)
-    share: float
-    target: Frame  # of its body
-    # kg; centre of mass (3), m; inertia (3, 3) about the frame's origin, kg m^2; in its axes
-    mass: np.ndarray
-    center: np.ndarray
-    inertia: np.ndarray
-
-    def step(self, chain: Constraints, sample: Sample, force: np.ndarray) -> np.ndarray:
-        """F at the next sample, of the nominal chain."""
-        if sample.contact_wrench is None:
-            return force
-        measured, wanted = sample.contact_wrench, self.preload
-        if not chain.is_spatial:
-            measured = measured @ chain.wrench_map
-        if self.share:
-            load = self._load(chain, sample.q_d, sample.v_d, sample.a_d)
-            wanted = wanted + self.share * load
-        return force + self.gain * (wanted - measured)
-
-    def _load(self, chain: Constraints, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """The wrenches (..., m) that each contact alone would need to move the target."""
-        if q.ndim > 1:
-            return np.stack([self._load(chain, *one) for one in zip(q, v, a, strict=True)])
-        model = chain.model
-        motion, R = (
-            model.calc_frame_motion(q, v, a, self.target),
-            model.calc_frame_rotation(q, self.target),
-        )
-        w, alpha, linear = motion[7:10], motion[13:16], motion[16:19]
-        p, inertia = R @ self.center, R @ self.inertia @ R.T
-        force = self.mass * (linear + cross_of(alpha, p) + cross_of(w, cross_of(w, p)))
-        moment = inertia @ alpha + cross_of(w, inertia @ w) + self.mass * cross_of(p, linear)
-        wrenches = []
-        for each in chain.closures:
-            arm = model.calc_frame_pose(q, each.grasp)[4:] - motion[4:7]
-            turn = model.calc_frame_rotation(q, each.grasp).T
-            wrenches += [turn @ (moment - cross_of(arm, force)), turn @ force]
-        return np.concatenate(wrenches) @ chain.wrench_map
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -199,7 +152,7 @@ def make_in_chain(setup: BlockSetup, make: Callable[[BlockSetup], Any]) -> Contr
     return MinimalLaw(
         law=law,
         model=model,
-        internal=None if given is None else _internal_control(given, scenario, chain),
+        internal=None if given is None else internal_control(given, scenario, chain),
     )
 
 
@@ -220,24 +173,6 @@ def _unfit(setup: BlockSetup, reason: str) -> BlockError:
     return BlockError(
         f"controller '{setup.name}' {reason}, and cannot work in a closed chain's minimal "
         "velocities; take another one, or set chain.law: plain"
-    )
-
-
-def _internal_control(
-    given: InternalForce, scenario: Scenario, chain: ClosedChain
-) -> InternalControl:
-    model = chain.model
-    body = find_body(model.plant, scenario.payload.body, key="payload.body")
-    inertia = body.CalcSpatialInertiaInBodyFrame(model.context)
-    preload = np.tile(np.array(given.preload), len(chain.loops)) @ chain.constraints.wrench_map
-    return InternalControl(
-        gain=given.gain * scenario.sample_time,
-        preload=preload,
-        share=given.share,
-        target=body.body_frame(),
-        mass=np.array(inertia.get_mass()),
-        center=inertia.get_com(),
-        inertia=inertia.CalcRotationalInertia().CopyToFullMatrix3(),
     )
 
 

@@ -20,8 +20,10 @@ from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.so3 import turned_by
 from ffsm_drake.mission import Mission, planned
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Loop, newton_step
-from ffsm_drake.scenario import Scenario
-from ffsm_drake.scenario.contacts import ALL_HANDS, closing_times
+from ffsm_drake.plugins.two_arms.flow import WRENCHES
+from ffsm_drake.plugins.two_arms.internal import InternalControl, planned_control
+from ffsm_drake.scenario import Grip, Scenario
+from ffsm_drake.scenario.contacts import ALL_HANDS, closing_contacts, closing_times
 from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_POSITIONS,
     NUM_BASE_VELOCITIES,
@@ -29,6 +31,7 @@ from ffsm_drake.spacecraft.coordinates import (
     position_error,
 )
 from ffsm_drake.spacecraft.grasp import plastic_impact
+from ffsm_drake.spacecraft.limits import FORCE
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_body
 from ffsm_drake.systems.blend import Blend
@@ -39,6 +42,7 @@ _NODES, _MOST_NODES = 128, 2048
 _ACCURATE = 1e-10  # m, rad: gap between the nodes
 _REACHED = 1e-11  # m, rad: error of the target's pose at a node
 _STEPS = 60
+_SOON = 1e-9  # s; rounding of times
 SINGULAR = 0.01  # singular value of an arm's Jacobian below which no motion is planned
 
 
@@ -69,6 +73,8 @@ class ChainMotion(PlannedMotion):
             _Reach(*each, velocity[each[0]]) for each in reaching if velocity is not None
         ]
         self._motion, self._blend = motion, Blend(scenario.reference, motion.end)
+        self._scenario, self._nominal = scenario, nominal
+        self._stages = dict[float, tuple[ClosedChain, InternalControl]]()
         # begin and end in the phase
         begin, end, closed = 0.0, motion.end, nominal.grip.closed
         if closed is not None:
@@ -96,6 +102,41 @@ class ChainMotion(PlannedMotion):
             for column, values in zip(columns, each.at(times), strict=True):
                 rows[:, column] = values
         return rows
+
+    def instants(self, count: int) -> np.ndarray:
+        """See PlannedMotion; as many up to the grasp of each late hand."""
+        marks = np.unique([self.begin, *closing_times(self._scenario), self.end])
+        marks = marks[(marks >= self.begin) & (marks <= self.end)]
+        parts = np.linspace(0, len(marks) - 1, (len(marks) - 1) * (count - 1) + 1)
+        return np.interp(parts, np.arange(len(marks)), marks)
+
+    def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """See PlannedMotion: the arms share the force as ``chain.force`` has it."""
+        scenario, (q, v, a) = self._scenario, self.evaluate(times)
+        hands = list(closing_contacts(scenario, ALL_HANDS))
+        wrench, force = np.zeros((times.size, 6 * len(hands))), found[FORCE].copy()
+        closed = self._nominal.grip.closed
+        latest = np.array(closing_times(scenario) if closed is None else [closed])
+        begun = np.searchsorted(latest, times + _SOON, side="right") - 1
+        for k in np.unique(begun[begun >= 0]):
+            if not closing_contacts(scenario, Grip(closed=latest[k])):
+                continue
+            chain, control = self._stage(float(latest[k]))
+            own, of = begun == k, chain.constraints
+            wanted = control.load(of, q[own], v[own], a[own]) + control.preload
+            acting = [of.jacobian(each).T @ one for each, one in zip(q[own], wanted, strict=True)]
+            force[own] += np.array(acting)
+            columns = [6 * hands.index(loop.name) for loop in chain.loops]
+            places = np.add.outer(columns, np.arange(6)).ravel()
+            wrench[np.ix_(own, places)] = [of.wrench(each) for each in wanted]
+        return found | {FORCE: force, WRENCHES: wrench}
+
+    def _stage(self, closed: float) -> tuple[ClosedChain, InternalControl]:
+        """The chain of the hands that have closed up to a time (s), and its internal control."""
+        if closed not in self._stages:
+            chain = ClosedChain(self._nominal, self._scenario, Grip(closed=closed), true=False)
+            self._stages[closed] = chain, planned_control(self._scenario, chain)
+        return self._stages[closed]
 
 
 class _Reach:

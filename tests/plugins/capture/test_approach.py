@@ -10,14 +10,9 @@ from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.capture.approach import approach_posture, given_approach
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
 from ffsm_drake.plugins.capture.grasping import Aim
+from ffsm_drake.plugins.design.limits_left import CLEARANCE, distances_in, limits_left
 from ffsm_drake.plugins.design.remarks import plan_clearance
-from ffsm_drake.runs.exceeded_limits import (
-    CLEARANCE,
-    INSTANTS,
-    closest_of,
-    distances_in,
-    limits_left,
-)
+from ffsm_drake.runs.exceeded_limits import INSTANTS, closest_of
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import EMPTY, planned_part
 from ffsm_drake.spacecraft.craft import make_nominal_plant

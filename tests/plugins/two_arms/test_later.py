@@ -248,7 +248,6 @@ def test_a_rollout_that_is_kept_gives_the_same_bits_again() -> None:
         (["contacts.right.closes=1.005"], "whole number of control samples"),
         (["contacts.right.closes=5"], "must be within the duration of the run"),
         (["contacts.right.position_error=[1e-3, 0, 0]"], "has no effect on a hand that grasps"),
-        (["reference.duration=null"], "is not compatible with contacts.right.closes; give seconds"),
         (["initial_posture.joints.left_1=3.0"], "its hand does not reach"),
         (["contacts.right.closes=-1"], "contacts.right.closes"),
     ],

@@ -282,4 +282,4 @@ def test_estimators_and_filters_work_in_the_chain(overrides: list[str]) -> None:
 def test_a_run_beyond_the_limits_of_a_contact_says_so() -> None:
     given = scenario("duration=1", "contacts.right.force_limit=0.05")
     (line,) = broken_limits(make_mission(given), simulate(given, check_stability=False).dataset)
-    assert line.startswith("the run exceeds the limits of the contacts: force_x")
+    assert line.startswith("the run exceeds contacts.right.force_limit: right_force_x")

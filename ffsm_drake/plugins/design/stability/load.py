@@ -14,7 +14,7 @@ from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
 from ffsm_drake.scenario import Scenario, override_scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.spacecraft.limits import FORCE, tightest
+from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, tightest
 from ffsm_drake.systems.controllers import complete_gains, controller_factory, gain_vectors
 from ffsm_drake.systems.mission_limits import actuation_limit, limits_of
 from ffsm_drake.systems.parts.advice import Advice, GroupLoad, Load
@@ -31,6 +31,7 @@ _LEAST_STEP, _LONGEST = 1.03, 10.0  # ratios of durations: successive trials, lo
 # Force required by noise: times K_P I sigma, fitted to two spacecraft. Amplitude, in standard
 # deviations of the noise, from which a saturated integral may run away.
 _NOISE_PEAK, _TOLERATED = 3.0, 50.0
+_OF_JOINTS = (POSITION, RATE, FORCE)
 _NOTABLE, _LARGE = 0.05, 0.5  # share of saturated samples; that is said though a run settles
 
 
@@ -49,10 +50,12 @@ def predicted_load(linearizer: Linearizer) -> float | None:
     _, force = linearizer.follow(samples=answer)
     begin = answer * scenario.sample_time
     times = np.linspace(begin, max(begin, min(motion.end, scenario.duration)), _INSTANTS)
-    _, ideal = linearizer.planned.perfect_tracking(times)
-    limit = tightest(limits_of(linearizer.planned.mission, helped=True), FORCE)
-    share = np.abs(np.concatenate([force, ideal])) / limit.upper
-    return float(np.nan_to_num(share, nan=np.inf).max())
+    ideal = linearizer.planned.demand(times)
+    limits = limits_of(linearizer.planned.mission, helped=True)
+    ideal[FORCE] = np.concatenate([force, ideal[FORCE]])
+    of = tightest(limits, FORCE), *(each for each in limits if each.quantity not in _OF_JOINTS)
+    shares = [np.abs(ideal[each.quantity]) / each.upper for each in of if each.quantity in ideal]
+    return max(float(np.nan_to_num(share, nan=np.inf).max()) for share in shares)
 
 
 def advice(

@@ -14,6 +14,7 @@ from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.inertia import inertia_ratios
+from ffsm_drake.spacecraft.limits import FORCE
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.disturbance import force_at, sines_of
 from ffsm_drake.systems.reference import make_motion
@@ -85,6 +86,13 @@ class PlannedDynamics:
         peaks = (change[:-1] > rounding) & (change[1:] < -rounding)
         return times[1:-1][peaks.any(axis=1)].tolist()
 
+    def demand(self, times: np.ndarray) -> dict[str, np.ndarray]:
+        """Values (n, k) of what has limits, by quantity, at times (n,), s, under perfect tracking
+        against the disturbance, hidden coordinates locked.
+        """
+        sines = sines_of(self.scenario.disturbance, self.coordinates)
+        return self.motion.demand(self.locked, times, force_at(times[:, None], sines))
+
     def perfect_tracking(
         self, times: np.ndarray, *, friction: bool = False
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -96,8 +104,7 @@ class PlannedDynamics:
         """
         scenario, coordinates = self.scenario, self.coordinates
         q, v, a = self.motion.evaluate(times)
-        disturbance = force_at(times[:, None], sines_of(scenario.disturbance, coordinates))
-        force = self.locked.calc_tracking_force(q, v, a) - disturbance
+        force = self.demand(times)[FORCE]
         if friction and scenario.drives is not None:
             drives = DriveSet(scenario.drives, scenario.actuation.limit, coordinates)
             force[:, NUM_BASE_VELOCITIES:] -= drives.friction(v[:, NUM_BASE_VELOCITIES:])

@@ -1,0 +1,131 @@
+"""The torques and wrenches that limits bound, before a run: those of the chain as its law acts."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.linalg import null_space
+
+from ffsm_drake import Scenario, load_scenario, make_nominal_plant, simulate
+from ffsm_drake.common.errors import LimitError
+from ffsm_drake.mission import Mission
+from ffsm_drake.plugins.design.remarks import plan_limits
+from ffsm_drake.plugins.design.verdict import verdict
+from ffsm_drake.plugins.two_arms.chain import ClosedChain
+from ffsm_drake.spacecraft.limits import FORCE
+from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.reference import make_motion, timed
+
+WEAK = {"left_2": 3.0, "left_3": 1.0, "right_1": 2.0, "joints": 6.0}
+KNOWN = {"payload": {"nominal": {"mass": 100.0}}}
+AWAY = {"right_1": 1.2, "right_2": 1.2, "right_3": -1.2, "right_4": 0.2, "right_6": -1.2}
+FAST = {"duration": 7.0, "reference": {"duration": 6.0}, "chain": {"force": {"gain": 20.0}}}
+QUIET = ("sensing.velocity_noise=0", "disturbance.amplitude_scale=0")
+
+
+def limited(*overrides: str, **changes: Any) -> Scenario:
+    scenario = load_scenario("two_arms", [{"actuation": {"limit": WEAK}}, FAST, *overrides])
+    return scenario.replace(**changes)
+
+
+def demanded(scenario: Scenario, times: np.ndarray) -> tuple[PlannedMotion, dict[str, np.ndarray]]:
+    mission = Mission(scenario)
+    motion = make_motion(mission)
+    return motion, motion.demand(mission.craft.nominal(), times)
+
+
+@pytest.mark.parametrize("force", ["{share: null}", "null"])
+def test_joints_share_the_least_force_relative_to_their_limits(force: str) -> None:
+    """The torque is the least of all that move the chain alike, found without multipliers."""
+    scenario, times = limited(f"chain.force={force}"), np.linspace(0.5, 5.5, 5)
+    motion, found = demanded(scenario, times)
+    model = make_nominal_plant(scenario)
+    chain = ClosedChain(model, scenario, true=False)
+    limit = model.coordinates.vector(WEAK, key="", default=1.0)
+    for q, v, a, force_, wrench in zip(
+        *motion.evaluate(times), found[FORCE], found["contact_wrench"], strict=True
+    ):
+        moves = null_space(chain.jacobian(q))
+        needed = moves.T @ model.calc_inverse_dynamics(q, v, a)
+        least = limit * np.linalg.lstsq(moves.T * limit, needed, rcond=None)[0]
+        assert_allclose(force_, least, rtol=1e-7, atol=1e-7)
+        tree = model.calc_inverse_dynamics(q, v, a)
+        assert_allclose(force_, tree + chain.jacobian(q).T @ wrench, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "force", ["{share: null}", "{share: 0.3}", "{share: 0, preload: [0, 0, 1, 0, 0, 5]}"]
+)
+def test_a_run_has_the_planned_torques_and_wrenches(force: str) -> None:
+    given = limited(f"chain.force={force}", "chain.force.gain=50", "controller=tdc", *QUIET)
+    strong = {name: 10.0 * limit for name, limit in WEAK.items()}  # the same shares
+    given = given.replace(actuation={"limit": strong}, **KNOWN)
+    data = simulate(given, check_stability=False).dataset
+    later = slice(150, 500)
+    _, found = demanded(given, data["time"].values[later])
+    wrench = data["contact_wrench"].values[later]
+    assert_allclose(wrench, found["contact_wrench"], atol=0.02 + 0.03 * np.abs(wrench).max())
+    applied = data["applied_force"].values[later]
+    assert_allclose(applied, found[FORCE], atol=0.03 * np.abs(applied).max())
+
+
+def test_without_limits_of_joints_the_first_hand_carries_the_target() -> None:
+    plain = load_scenario("two_arms", [FAST])
+    times = np.linspace(0.5, 5.5, 5)
+    motion, found = demanded(plain, times)
+    tree = make_nominal_plant(plain).calc_tracking_force(*motion.evaluate(times))
+    assert_allclose(found[FORCE], tree, atol=1e-12)
+    assert not found["contact_wrench"].any()
+
+
+def test_a_late_hand_carries_from_its_grasp_on() -> None:
+    late = limited("contacts.right.closes=2").replace(initial_posture={"joints": AWAY})
+    times = np.array([1.0, 1.99, 2.0, 4.0])
+    wrench = demanded(late, times)[1]["contact_wrench"]
+    assert not wrench[:2].any()
+    assert np.abs(wrench[2:]).max(axis=1).min() > 0.01
+
+
+@pytest.mark.slow
+def test_auto_keeps_the_limits_of_joints_and_contacts() -> None:
+    free = timed(Mission(limited("reference.duration=null"))).scenario.reference.duration
+    assert free is not None
+    bound = limited("reference.duration=null", "contacts.right.force_limit=1.5")
+    mission = timed(Mission(bound))
+    longer = mission.scenario.reference.duration
+    assert longer is not None
+    assert longer > 1.2 * free
+    usable = 1.0 - bound.reference.reserve
+    for duration, keeps in ((longer, True), (longer - 0.05, False)):
+        given = bound.replace(reference={"duration": duration})
+        motion, found = demanded(given, np.linspace(0.0, duration, 201))
+        force = np.abs(found["contact_wrench"][:, 3:]).max()
+        assert bool(force <= 1.001 * usable * 1.5) is keeps
+        assert motion.end == duration
+    with pytest.raises(LimitError, match=r"contact_wrench of right_force_\w takes"):
+        timed(Mission(bound.replace(contacts={"right": {"force_limit": 1e-7}})))
+
+
+@pytest.mark.long
+def test_auto_with_a_late_hand_settles() -> None:
+    away = {"initial_posture": {"joints": AWAY}}
+    with pytest.raises(LimitError, match="the force on right_1 takes"):
+        timed(Mission(limited("reference.duration=null", "contacts.right.closes=1", **away)))
+    given = limited("reference.duration=null", "contacts.right.closes=4", duration=25.0, **away)
+    run = simulate(given, check_stability=False)
+    assert run.ending.is_settled
+    assert run.metrics["contacts"]["gap"] < 1e-6
+    assert 4.0 < run.mission.scenario.reference.duration < 20.0
+
+
+@pytest.mark.long
+def test_a_contact_limit_is_refused_before_the_run() -> None:
+    given = limited("contacts.right.force_limit=0.05")
+    (line,) = plan_limits(Mission(given))
+    assert line.startswith("the planned motion exceeds contacts.right.force_limit: right_force_x ")
+    assert not plan_limits(Mission(limited("contacts.right.force_limit=50")))
+    found = verdict(given, rehearsal=False)
+    assert found.is_alarm
+    assert line in found.planned
