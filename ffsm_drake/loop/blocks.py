@@ -46,6 +46,8 @@ STATE, VELOCITY = "nq + nv", "nv"  # sizes of ports
 FRAME, NUMBER, UNITS = str(FRAME_SIZE), "1", "units"
 # Wrenches on the target, of the contacts that close loops (``contacts``): 6 for each.
 WRENCH, WRENCHES = "measured_wrench", "6 contacts"
+# Force on jammed joints, from the solve that gives the force of these contacts.
+JAM = "jam_force"
 # Outputs of actuators that act on the plant in addition to the applied force.
 ADDED_FORCES = ("gyroscopic_force", "friction_force")
 # The output port with which a block requests the supervisor to act, by a value above 0.5.
@@ -138,6 +140,7 @@ BLOCKS: dict[str, Ports] = {
             "state": STATE,
             "hidden_state": HIDDEN_STATE,
             "other_force": VELOCITY,
+            JAM: VELOCITY,
             **READ_BY_FORCES,
         },
         # The force after the update of a control sample: the record would see the one before it.

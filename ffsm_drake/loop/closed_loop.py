@@ -34,6 +34,7 @@ from ffsm_drake.loop.blocks import (
     ADDED_FORCES,
     BLOCKS,
     ISOLATED,
+    JAM,
     READ_BY_FORCES,
     REPORTED_FORCES,
     REPORTED_UNITS,
@@ -393,11 +394,10 @@ class _Wiring:
         acts = self._sum("total_force", [self.sources["applied_force"], *others, *added])
         if last:
             self._signals["other_force"] = acts
-            self._connect_inputs(*last)
             acts = self._sum("last_force", [acts, *((system, own) for system in last)])
         for system in forces:
-            self._add_outputs(system, (WRENCH,))
-        self._connect_inputs(self._controller)
+            self._add_outputs(system, (WRENCH, JAM))
+        self._connect_inputs(self._controller, *last)
         on_hidden = [system for system in forces if system.HasOutputPort(hidden)]
         if self._split.names:
             acts = self._on_whole_plant(acts, [(system, hidden) for system in on_hidden])
@@ -409,9 +409,8 @@ class _Wiring:
         }
         self.sources["disturbance_force"] = self._sum("external_force", [*now.values()])
         if on_hidden:
-            ports = [_at_once(system, hidden) for system in on_hidden]
             name = "external_hidden_force"
-            self.sources[name] = self._sum(name, ports)
+            self.sources[name] = self._sum(name, [_at_once(each, hidden) for each in on_hidden])
         if len(now) > 1:
             self.sources |= {f"force_{each.partition('.')[2]}": now[each] for each in now}
 

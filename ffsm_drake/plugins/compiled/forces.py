@@ -150,6 +150,7 @@ class Forces(Instant):
             inputs = signals | {"correction": corrections.get(name)}
             outputs, _ = block.flow(read(block, inputs), {})
             found.append({each: traced(values) for each, values in outputs.items()})
+            signals |= found[-1]
         return found
 
     def _corrections(self) -> list[np.ndarray]:

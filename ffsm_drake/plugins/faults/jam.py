@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.choice import is_known, may_be
+from ffsm_drake.loop.blocks import JAM
 from ffsm_drake.scenario import FaultKind, MassProperties, Scenario
+from ffsm_drake.scenario.contacts import closing_contacts
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates, halves
 from ffsm_drake.spacecraft.craft import Craft
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -31,28 +33,82 @@ class JammedJoints(BreakingPart):
 
     @classmethod
     def failing_units(cls, scenario: Scenario, coordinates: Coordinates) -> Iterable[str]:
-        """Every joint; none with several contacts, since a jam and the contacts would each need
-        the other's force at the same instant.
-        """
-        return coordinates.joints if len(scenario.contacts) < 2 else ()
+        """Every joint."""
+        return coordinates.joints
 
-    def build(self, setup: BlockSetup) -> "Jam":
-        """The force of the jam."""
+    def build(self, setup: BlockSetup) -> "Jam | SolvedJam":
+        """The force of the jam. Contacts that close loops compute it with their own."""
+        if closing_contacts(setup.scenario, setup.grip):
+            return SolvedJam(size=len(setup.coordinates.names))
+        model = setup.craft.flexible(setup.grip)
+        return Jam(model=model, craft=setup.craft, joints=self.joints(setup))
+
+    def joints(self, setup: BlockSetup) -> "Jammed":
+        """The joints, and when they jam."""
         scenario, coordinates, step = setup.scenario, setup.coordinates, setup.sample_time
         found = hits(scenario, self.fails_as)
         jammed = [name for name in coordinates.joints if name in {hit.unit for hit in found}]
-        model, nv = setup.craft.flexible(setup.grip), len(coordinates.names)
+        split, nv = setup.craft.split, len(coordinates.names)
         entries = [NUM_BASE_VELOCITIES + coordinates.joints.index(name) for name in jammed]
-        joints = np.array([model.split.whole_velocities(np.eye(nv)[each]) for each in entries]).T
-        return Jam(
-            model=model,
-            craft=setup.craft,
-            joints=joints,
+        joints = np.array([split.whole_velocities(np.eye(nv)[each]) for each in entries]).T
+        return Jammed(
+            directions=joints,
             of=np.array([[float(name == hit.unit) for hit in found] for name in jammed]),
             since=step * np.array([float(hit.occurs.first) for hit in found]),
             lasts=step * np.array([float(hit.occurs.samples) for hit in found]),
             period=step * np.array([float(hit.occurs.period) for hit in found]),
         )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Jammed:
+    """The joints that jam, and when. A jammed joint's rate decays with a time constant of 0.02 s:
+    J dv/dt = -J v / T.
+    """
+
+    directions: np.ndarray  # (plant's velocities, n) J' of the joints
+    of: np.ndarray  # (n, m) 1: the fault is of the joint
+    since: np.ndarray  # (m) first times of the faults, s
+    lasts: np.ndarray  # (m) how long each lasts, s
+    period: np.ndarray  # (m) time from one beginning to the next, s
+
+    def at(self, time: np.ndarray) -> tuple[np.ndarray, Any]:
+        """J' of the joints that may be jammed at a time (1), s, and whether they are."""
+        elapsed = time - self.since + _ROUNDING
+        are_there = (elapsed > 0.0) & (np.remainder(elapsed, self.period) < self.lasts)
+        held: Any = (self.of * np.where(are_there, 1.0, 0.0)).sum(axis=1) > 0.0
+        if is_known(held):
+            return self.directions[:, held], held[held]
+        return self.directions, held
+
+    @staticmethod
+    def stop(rates: np.ndarray) -> np.ndarray:
+        """The accelerations that stop joints with these rates."""
+        return -rates / _STOPS_IN
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class SolvedJam(Continuous):
+    """The force on jammed joints where contacts close loops: one solve gives both.
+
+    Inputs: ``other_force`` and ``jam_force`` (nv). Output: ``generalized_force`` (nv).
+    """
+
+    size: int  # nv
+
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See Continuous."""
+        return dict.fromkeys(("other_force", JAM), self.size)
+
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Continuous."""
+        return {"generalized_force": self.size}
+
+    def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
+        """See Continuous."""
+        return {"generalized_force": inputs[JAM]}, {}
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -69,11 +125,7 @@ class Jam(Continuous):
 
     model: PlantModel
     craft: Craft
-    joints: np.ndarray  # (plant's velocities, n) directions of the joints
-    of: np.ndarray  # (n, m) 1: the fault is of the joint
-    since: np.ndarray  # (m) first times of the faults, s
-    lasts: np.ndarray  # (m) how long each lasts, s
-    period: np.ndarray  # (m) time from one beginning to the next, s
+    joints: Jammed
 
     @property
     def inputs(self) -> Mapping[str, int]:
@@ -93,21 +145,11 @@ class Jam(Continuous):
 
     def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
         """See Continuous."""
-        are_held, force = self._are_held(inputs["time"]), np.zeros_like(inputs["other_force"])
+        joints, are_held = self.joints.at(inputs["time"])
         if not may_be(are_held):
-            return {"generalized_force": force}, {}
-        joints = self.joints
-        if is_known(are_held):
-            joints, are_held = joints[:, are_held], are_held[are_held]
+            return {"generalized_force": np.zeros_like(inputs["other_force"])}, {}
         force = self.model.split.known_velocities(joints @ self._along(inputs, joints, are_held))
         return {"generalized_force": force}, {}
-
-    def _are_held(self, time: np.ndarray) -> Any:
-        """Whether each joint (n) is jammed at a time (1), s."""
-        elapsed = time - self.since + _ROUNDING
-        are_there = (elapsed > 0.0) & (np.remainder(elapsed, self.period) < self.lasts)
-        held: np.ndarray = (self.of * np.where(are_there, 1.0, 0.0)).sum(axis=1) > 0.0
-        return held
 
     def _along(self, inputs: Arrays, joints: np.ndarray, are_held: Any) -> np.ndarray:
         """The force (n) along joints that are jammed, or may be."""
@@ -117,6 +159,6 @@ class Jam(Continuous):
         inverse = joints.T @ np.linalg.solve(model.calc_mass_matrix(q), joints)
         without = np.eye(len(are_held))
         inverse = np.where(are_held[:, None], np.where(are_held, inverse, without), without)
-        stops = -(joints.T @ acceleration) - (joints.T @ v) / _STOPS_IN
+        stops = -(joints.T @ acceleration) + self.joints.stop(joints.T @ v)
         along: np.ndarray = np.linalg.solve(inverse, np.where(are_held, stops, 0.0))
         return along

@@ -6,13 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from ffsm_drake.loop.blocks import WRENCH
+from ffsm_drake.loop.blocks import JAM, WRENCH
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Constraints
+from ffsm_drake.plugins.two_arms.constraint_solve import solved
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.scenario.contacts import Contact
 from ffsm_drake.spacecraft.coordinates import halves
 from ffsm_drake.spacecraft.craft import Craft
 from ffsm_drake.systems.continuous import Continuous
+from ffsm_drake.systems.registry import PARTS
 from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -38,6 +40,10 @@ class ContactFlow(Constraints, Continuous):
     being all other forces. The correction c of a sample is k_1 gap + k_2 A v at its beginning; both
     decay with exp(-w t), w being its ``stabilization``. A correction of each stage would take the
     stages' own gaps, O(h^2), for errors. A compliant contact gives lambda = -(K gap + D A v).
+
+    Jammed joints are further rows of the same equations, whose multipliers are ``jam_force``. If
+    rows depend on each other, since the joints that are left cannot move the loop, the later ones
+    of the jams have no force.
     """
 
     # its model has flexible parts and the true payload
@@ -47,6 +53,7 @@ class ContactFlow(Constraints, Continuous):
     gains: np.ndarray  # (2, m) of the correction, on the gap and on its rate
     stiffness: np.ndarray  # (s, m) K
     damping: np.ndarray  # (s, m) D
+    jammed: Any  # faults.jam.Jammed; None: no joint jams
     # the latest closing of late hands, as ``CLOSING_UNITS``, and the work of all, J; none: empty
     ledger: np.ndarray
 
@@ -55,7 +62,7 @@ class ContactFlow(Constraints, Continuous):
         """See Continuous."""
         nv, hidden = self.model.coordinates.num_velocities, len(self.model.split.names)
         sizes = {"state": 2 * nv + 1, "hidden_state": 2 * hidden, "other_force": nv}
-        sizes["correction"] = self.rigid.size
+        sizes |= {"correction": self.rigid.size, "time": int(self.jammed is not None)}
         return {name: size for name, size in sizes.items() if size}
 
     @property
@@ -64,6 +71,7 @@ class ContactFlow(Constraints, Continuous):
         nv = self.model.coordinates.num_velocities
         shown = dict.fromkeys((WRENCHES, GAP, WRENCH), 6 * len(self.closures))
         late = {CLOSING: self.ledger.size - 1, LOSS: 1} if self.ledger.size else {}
+        late |= {} if self.jammed is None else {JAM: nv}
         return {"generalized_force": nv, **shown, **late}
 
     def with_payload(self, properties: MassProperties) -> "ContactFlow":
@@ -90,17 +98,40 @@ class ContactFlow(Constraints, Continuous):
         if self.soft.size:
             multipliers[self.soft] = -(self.stiffness @ gap + self.damping @ (A @ v))
             force = force + multipliers @ A
-        if self.rigid.size:
-            rows, free = A[self.rigid], self.model.calc_acceleration(q, v, force)
-            inner = rows @ np.linalg.solve(self.model.calc_mass_matrix(q), rows.T)
-            wanted = -(self.bias(q, v)[self.rigid] + inputs["correction"] + rows @ free)
-            multipliers[self.rigid] = np.linalg.solve(inner, wanted)
+        multipliers[self.rigid], jam = self._solved(inputs, A, force)
         wrench = -self.wrench(multipliers)  # on the target
         return {
             "generalized_force": split.known_velocities(multipliers @ A),
             WRENCHES: wrench, GAP: self.wrench(gap), WRENCH: wrench,
-            CLOSING: self.ledger[:-1], LOSS: self.ledger[-1:],
+            CLOSING: self.ledger[:-1], LOSS: self.ledger[-1:], JAM: split.known_velocities(jam),
         }, {}  # fmt: skip
+
+    def _solved(self, inputs: Arrays, A: Any, force: Any) -> tuple[Any, Any]:
+        """Multipliers of rigid contacts, and the force (plant's nv) on jammed joints.
+
+        Args: also A (m, nv), and all other forces (nv).
+        """
+        (q, v), size, wanted = self._split(inputs), self.rigid.size, A[:0, 0]
+        if size:
+            wanted = -(self.bias(q, v)[self.rigid] + inputs["correction"])
+        joints = self.held(inputs.get("time"))
+        rows = np.concatenate([A[self.rigid], joints.T])
+        if not len(rows):
+            return wanted, 0.0 * v
+        if len(rows) > size:
+            wanted = np.concatenate([wanted, self.jammed.stop(joints.T @ v)])
+        wanted = wanted - rows @ self.model.calc_acceleration(q, v, force)
+        inner = rows @ np.linalg.solve(self.model.calc_mass_matrix(q), rows.T)
+        found = (np.linalg.solve if len(rows) == size else solved)(inner, wanted)
+        return found[:size], joints @ found[size:]
+
+    def held(self, time: Any) -> Any:
+        """J' (plant's nv, n) of joints that may be jammed at a time (1), s; zero if one is not."""
+        if self.jammed is None:
+            nv = self.model.coordinates.num_velocities + len(self.model.split.names)
+            return np.zeros((nv, 0))
+        joints, are_held = self.jammed.at(time)
+        return joints * np.where(are_held, 1.0, 0.0)
 
     def _split(self, inputs: Arrays) -> Any:
         """The plant's own q and v."""
@@ -137,8 +168,16 @@ def contact_flow(setup: BlockSetup) -> ContactFlow:
         gains=np.array([((1.0 - p) / h) ** 2, (1.0 - p) * (3.0 + p) / (2.0 * h)]),
         stiffness=along(_stiffness)[~is_rigid],
         damping=along(_damping)[~is_rigid],
+        jammed=_jammed(setup),
         ledger=np.zeros((len(CLOSING_UNITS) + 1) * any(loop.contact.closes for loop in loops)),
     )
+
+
+def _jammed(setup: BlockSetup) -> Any:
+    """The joints that jam; None if none does."""
+    kind: Any = PARTS.find("forces.jam")
+    part = None if kind is None else kind.of(setup.scenario)
+    return None if part is None else part.joints(setup)
 
 
 def _stiffness(contact: Contact) -> list[float]:

@@ -5,8 +5,8 @@ a plastic impact on the moving stack,
 
     A H^-1 A' lambda = -A v,    v+ = v + H^-1 A' lambda,
 
-of all rigid hands on the target from then on; the new one holds where it is. The law goes on with
-its memory, in the velocities of the chain.
+of all rigid hands on the target from then on; the new one holds where it is. Jammed joints are rows
+of A too, and keep their rates. The law goes on with its memory, in the velocities of the chain.
 """
 
 import dataclasses
@@ -16,6 +16,7 @@ import numpy as np
 
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Constraints
+from ffsm_drake.plugins.two_arms.constraint_solve import solved
 from ffsm_drake.plugins.two_arms.flow import (
     CLOSING,
     CLOSING_UNITS,
@@ -84,23 +85,27 @@ class Hand(Stop):
         series = now.logs[-1].series
         work = series[LOSS][-1].item() if LOSS in series else 0.0
         flow = stage.block(_BLOCK).with_payload(payload)
-        flow, state = closed(flow, now.stage.state, work=work)
+        time = now.sample * self.mission.scenario.sample_time
+        flow, state = closed(flow, now.stage.state, work=work, time=time)
         stage.exchange(_BLOCK, flow)
         stage.place(state)
         stage.resume(now.stage, stage.desired, afresh=phase.afresh)
         return now
 
 
-def closed(flow: ContactFlow, state: np.ndarray, *, work: float) -> tuple[ContactFlow, np.ndarray]:
+def closed(
+    flow: ContactFlow, state: np.ndarray, *, work: float, time: float = 0.0
+) -> tuple[ContactFlow, np.ndarray]:
     """The force after late hands have closed where they are, and the plant's own [q; v]; rigid ones
     close by a plastic impact.
 
     Args: the force of the hands, with their places; the state before; work of the closings
-      before, J.
+      before, J; time, s, at which joints are jammed or not.
     """
     (q, v), model, multipliers = halves(state), flow.model, np.zeros(flow.gains.shape[1])
     rows, H = flow.jacobian(q)[flow.rigid], model.calc_mass_matrix(q)
-    after, multipliers[flow.rigid] = plastic_impact(H, rows, v)
+    joints = flow.held(np.array([time]))
+    after, multipliers[flow.rigid] = _impact(H, rows, joints.T, v)
     momenta = list[np.ndarray]()
     for each in (v, after):
         model.plant.SetVelocities(model.context, each)
@@ -116,6 +121,20 @@ def closed(flow: ContactFlow, state: np.ndarray, *, work: float) -> tuple[Contac
     loss = 0.5 * float((v - after) @ H @ (v + after))
     ledger = np.array([*(figures[name] for name in CLOSING_UNITS), work - loss])
     return dataclasses.replace(flow.met(state), ledger=ledger), np.concatenate([q, after])
+
+
+def _impact(
+    H: np.ndarray, rows: np.ndarray, joints: np.ndarray, v: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The velocity (nv) after a plastic impact, and the impulses (m) of constraints with ``rows``
+    (m, nv); the rates of jammed ``joints`` (n, nv) do not change.
+    """
+    if not len(joints):
+        return plastic_impact(H, rows, v)
+    both = np.concatenate([rows, joints])
+    inverse = np.linalg.solve(H, both.T)
+    impulses = solved(both @ inverse, -np.concatenate([rows @ v, np.zeros(len(joints))]))
+    return v + inverse @ impulses, impulses[: len(rows)]
 
 
 def beyond(mission: Mission, state: np.ndarray, grip: Grip, envelope: Envelope) -> str:

@@ -70,8 +70,6 @@ def test_every_pair_of_arms_settles_with_a_small_internal_force(drawn: Scenario)
         (["actuation.driven=[joints]"], "not supported with more than one contact"),
         (["supervisor={}"], "supervisor: is not supported with more than one contact"),
         (["faults.detection={}"], "faults.detection: is not supported with more than one contact"),
-        (["faults.events={jam: {unit: joints}}"], "no 'joints' breaks here; choose one of sensing"),
-        (["faults.events={jam: {unit: joints.left_2}}"], "no 'joints.left_2' breaks here"),
         (
             ["reference.kind=optimal", "reference.plan=x.yaml"],
             "reference.kind: is not supported with more than one contact",

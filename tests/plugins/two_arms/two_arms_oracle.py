@@ -90,8 +90,13 @@ def mujoco_run(q: np.ndarray, v: np.ndarray, force: np.ndarray, *, time: float, 
 # Pinocchio
 
 
-def pinocchio_acceleration(pin: Any) -> Any:
-    """A function of q, v and force (nv) that gives dv/dt (nv) with the loop closed exactly."""
+def pinocchio_acceleration(pin: Any, jammed: dict[int, float] | None = None) -> Any:
+    """A function of q, v and force (nv) that gives dv/dt (nv) with the loop closed exactly.
+
+    ``jammed``: joint (0 to 11) -> angle at which it is a rigid part of its arm; the function reads
+    no rate of it and gives the acceleration zero.
+    """
+    jammed = jammed or {}
 
     def at(z: float, turn: np.ndarray | None = None, x: float = 0.0) -> Any:
         return pin.SE3(np.eye(3) if turn is None else turn, np.array([x, 0.0, z]))
@@ -101,24 +106,29 @@ def pinocchio_acceleration(pin: Any) -> Any:
     base = model.addJoint(0, pin.JointModelFreeFlyer(), at(0.0), "base")
     inertia = pin.Inertia(BASE_MASS, np.zeros(3), BASE_INERTIA * np.eye(3))
     model.appendBodyToJoint(base, inertia, at(0.0))
-    tips = {}
+    tips, hands = {}, {}
     for side in (-1, 1):
         body, place = base, at(HEIGHT, x=side * SPREAD)
         for k, (mass, length, axis) in enumerate(zip(MASSES, LENGTHS, AXES, strict=True)):
-            kind = getattr(pin, f"JointModelR{axis}")()
-            body = model.addJoint(body, kind, place, f"{side}_{k}")
+            joint = k + 6 * (side > 0)
+            if joint in jammed:
+                turn = Rotation.from_euler(axis.lower(), jammed[joint]).as_matrix()
+                place = place * at(0.0, turn)
+            else:
+                kind = getattr(pin, f"JointModelR{axis}")()
+                body, place = model.addJoint(body, kind, place, f"{side}_{k}"), at(0.0)
             across, along = rod(mass, length)
-            central = np.diag([across, across, along])
-            model.appendBodyToJoint(body, pin.Inertia(mass, np.zeros(3), central), at(length / 2))
-            place = at(length)
-        tips[side] = body
-    hand = at(LENGTHS[-1])
+            link = pin.Inertia(mass, np.zeros(3), np.diag([across, across, along]))
+            model.appendBodyToJoint(body, link, place * at(length / 2))
+            place = place * at(length)
+        tips[side], hands[side] = body, place
+    hand = hands[-1]
     grasps = {s: pin.SE3(grasp(s), np.array([s * HALF, 0.0, 0.0])) for s in (-1, 1)}
     target = hand * grasps[-1].inverse()
     held = pin.Inertia(TARGET_MASS, np.zeros(3), TARGET_INERTIA * np.eye(3))
     model.appendBodyToJoint(tips[-1], held, target)
     weld = pin.RigidConstraintModel(
-        pin.ContactType.CONTACT_6D, model, tips[1], hand, tips[-1], target * grasps[1],
+        pin.ContactType.CONTACT_6D, model, tips[1], hands[1], tips[-1], target * grasps[1],
         pin.ReferenceFrame.LOCAL,
     )  # fmt: skip
     data, welds = model.createData(), pin.StdVec_RigidConstraintModel()
@@ -127,19 +137,22 @@ def pinocchio_acceleration(pin: Any) -> Any:
     weld_data.append(weld.createData())
     pin.initConstraintDynamics(model, data, welds, weld_data)
     accurate = pin.ProximalSettings(1e-14, 0.0, 1)
+    free = np.setdiff1d(np.arange(18), [6 + joint for joint in jammed])
 
     def acceleration(q: np.ndarray, v: np.ndarray, force: np.ndarray) -> np.ndarray:
         rotation = Rotation.from_quat(q[[1, 2, 3, 0]]).as_matrix()
-        to_pin = np.zeros((18, 18))
+        to_pin = np.zeros((18, 18))  # without jams
         to_pin[0:3, 3:6] = to_pin[3:6, 0:3] = rotation.T
         to_pin[6:, 6:] = np.eye(12)
         rest = np.zeros(18)
         rest[0:3] = -rotation.T @ np.cross(v[0:3], v[3:6])
-        q_pin = np.concatenate([q[4:7], q[[1, 2, 3, 0]], q[7:]])
+        q_pin = np.concatenate([q[4:7], q[[1, 2, 3, 0]], q[1 + free[6:]]])
         found = pin.constraintDynamics(
-            model, data, q_pin, to_pin @ v, np.linalg.solve(to_pin.T, force), welds, weld_data,
-            accurate,
+            model, data, q_pin, (to_pin @ v)[free], np.linalg.solve(to_pin.T, force)[free], welds,
+            weld_data, accurate,
         )  # fmt: skip
-        return np.linalg.solve(to_pin, found - rest)
+        whole = np.zeros(18)
+        whole[free] = found
+        return np.linalg.solve(to_pin, whole - rest)
 
     return acceleration
