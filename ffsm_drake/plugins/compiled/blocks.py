@@ -61,7 +61,7 @@ _SAMPLED = {
     "external_hidden_force": "hidden_push",
 }
 _FORCES = ("generalized_force", "hidden_force")  # of a force, which are summed
-# Inputs of the law and of a detector that are called: the cells that have them.
+# Inputs of the law and of a detector: the cells that have them at a call.
 _READ = {"estimated_state": "measurement", "applied_force": "applied", "desired_frame": "frame"}
 _LOOKED_AT = {"state": "measurement", "told_force": "applied", "gyroscopic_force": "gyroscopic"}
 _DETECTED = {"estimated_state": "measurement", "fault_detected": "detected"}
@@ -115,8 +115,13 @@ class Blocks(Structure):
     num_planned: int  # numbers of the law that differ between samples, see ``rows_of``
     parts: Parts
     watch: Watch | None  # the block of the supervisor
-    detector: Sampled | None  # a last stage of sensing that is called, as the law is then
+    detector: Sampled | None  # a last stage of sensing that is called
     called: str = ""  # why the law is called at each sample; empty: it is traced
+
+    @property
+    def calls(self) -> bool:
+        """Whether a sample calls the law or a detector."""
+        return bool(self.called) or self.detector is not None
 
     @property
     def nq(self) -> int:
@@ -273,7 +278,7 @@ class Blocks(Structure):
         watching = {} if self.watch is None else {"mode": 2, "asks": 1, "followed": nx + nv}
         watching |= {"given": nv} if watching else {}
         return {
-            "is_new": nx if self.called and self.tells_new else 0,
+            "is_new": nx if self.calls and self.tells_new else 0,
             "known": nx, "hidden": len(self.hidden), "measurement": nx, "generalized_force": nv,
             "applied_force": nv,
             "disturbance_force": nv, "each_force": (1 + forces) * nv if forces else 0,
@@ -326,7 +331,7 @@ class Blocks(Structure):
 
     @property
     def law_inputs(self) -> Places:
-        """Cells that a law reads that is called."""
+        """Cells that a law reads after a call, or that is called."""
         nx, nv = self.nq + self.nv, self.nv
         plan = "reference" if self.watch is None else "followed"
         desired = {"desired_state": nx, "desired_acceleration": nv}

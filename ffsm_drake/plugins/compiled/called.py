@@ -1,4 +1,5 @@
-"""Laws that are called at each control sample, between two functions of a compiled run.
+"""Laws and fault detection that are called at each control sample, between two functions of a
+compiled run.
 
 A user-supplied law must return the same for the same sample and memory, in any order of calls.
 """
@@ -33,11 +34,14 @@ class Laws:
         """Args: the loop; of each lane its controller, and a detector with its memory."""
         self.stopped: BaseException | None = None  # what ended the runs
         self._blocks, self._controllers, self._detectors = blocks, controllers, [*detectors]
+        # of each lane, what its detector remembers before the last sample
+        self.remembered = [memory for _, memory in detectors]
         sizes = sizes_of(blocks.memory)
         self._start = {name: np.ravel(value) for name, value in blocks.memory.items()}
         self._inputs, self._memory = blocks.law_inputs, laid("memory", sizes)
-        self._made = laid("memory_after", sizes)
-        self._made["generalized_force"] = ("generalized_force", 0, blocks.nv)
+        self._made = laid("memory_after", sizes) if blocks.called else {}
+        if blocks.called:
+            self._made["generalized_force"] = ("generalized_force", 0, blocks.nv)
         self._looks = blocks.detector_inputs if detectors else {}
         self._found = blocks.detector_outputs if detectors else {}
 
@@ -72,9 +76,11 @@ class Laws:
                 if self._blocks.watch is not None and restart:
                     memory = copy.deepcopy(self._start)
                 found = self._look(lane, looks) if self._detectors else {}
-                inputs |= {name: found[name] for name in inputs.keys() & found.keys()}
                 made: Arrays = {}
-                if not np.any(found.get("isolated", ())):
+                if np.any(found.get("isolated", ())):
+                    found = {}
+                elif self._made:
+                    inputs |= {name: found[name] for name in inputs.keys() & found.keys()}
                     made = self.step(lane, inputs, memory, bool(is_first))
                 for of, results in ((self._found, found), (self._made, made)):
                     for name, view in views(of).items():
@@ -102,7 +108,7 @@ class Laws:
             outputs, after = detector.step(looks, before, Now(0.0))
         except Exception:  # as of the law
             return {"isolated": np.ones(1)}
-        self._detectors[lane] = detector, after
+        self._detectors[lane], self.remembered[lane] = (detector, after), before
         outputs = {**outputs, "abort_request": after["abort_request"]}  # at the next sample
         return {name: np.array(values, float) for name, values in outputs.items()}
 

@@ -35,7 +35,7 @@ from ffsm_drake.systems.faults import settle_faults
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_frame_motion, make_motion, prescribes_frame
 from ffsm_drake.systems.registry import Factory
-from ffsm_drake.systems.sampled import Arrays, Sampled
+from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.sensing.errors import SensorErrors
 from ffsm_drake.systems.setup import BlockSetup
 from ffsm_drake.systems.start import state_at_start
@@ -225,13 +225,6 @@ class Case:
     def shown(self) -> dict[str, np.ndarray]:
         """Signals of a reference that is a block (samples, n)."""
         return {} if self.made.reference is None else self._whole(self.made.reference.shown)
-
-    def detectors(self) -> list[tuple[Sampled, Arrays]]:
-        """The detector, with its memory at the start; none without it."""
-        if self.made.detector is None:
-            return []
-        known = self.states["x"][list(self.fixed.known)]
-        return [(self.made.detector, self.made.detector.start(known))]
 
     def forget_rows(self) -> None:
         """Free what runs read, which needs the most memory."""

@@ -62,8 +62,6 @@ class Compiled(Engine):
         config = scenario.simulator_config
         replaced = {each for each in scenario.blocks.choices() if not _OWN.fullmatch(each)}
         own = replaced | {name for name, is_there in (
-            ("faults.detection with capture.approach",
-             scenario.approach is not None and detects(scenario)),
             ("error control", config.use_error_control),
             ("a real-time clock", config.target_realtime_rate > 0.0),
             (f"integration_scheme {config.integration_scheme}",

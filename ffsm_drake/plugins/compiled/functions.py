@@ -58,10 +58,13 @@ def functions_of(blocks: Blocks, *, steps: int, begins: bool) -> dict[str, Trace
     }
     if blocks.called:
         made |= {"sensed": Sampling.sensed, "acted": Sampling.acted}
-    else:
-        made["sample"] = functools.partial(Sampling.sample, is_first=False)
+    else:  # the map of one sample has no detector
+        is_split = begins and blocks.detector is not None
+        sample = Sampling.decided if is_split else Sampling.sample
+        made |= {"sensed": Sampling.sensed} if is_split else {}
+        made["sample"] = functools.partial(sample, is_first=False)
         if begins:
-            made["first"] = functools.partial(Sampling.sample, is_first=True)
+            made["first"] = functools.partial(sample, is_first=True)
     if begins:
         made["judged"] = marching.judged
     if blocks.per_sample > 1:

@@ -11,15 +11,20 @@ from ffsm_drake.plugins.compiled.run import Run
 from ffsm_drake.runs.ending import Outcome
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.systems.parts.placed import Parts, place_part
+from ffsm_drake.systems.sampled import Arrays, Sampled
 
 COMPILED = "compiled"  # name of the engine
 
 
-def laws_of(kernel: Kernel, runs: Sequence[Run]) -> Laws | None:
-    """Return the laws of lanes; None: they are traced."""
-    if not kernel.blocks.called:
+def laws_of(
+    kernel: Kernel, runs: Sequence[Run], detectors: Sequence[tuple[Sampled, Arrays]] = ()
+) -> Laws | None:
+    """Return the laws and detectors of lanes that are called; None: there are none.
+
+    Args: the code; the runs; of each lane its detector with its memory.
+    """
+    if not kernel.blocks.calls:
         return None
-    detectors = [each for run in runs for each in run.case.detectors()]
     return Laws(kernel.blocks, [run.controller for run in runs], detectors)
 
 
@@ -33,8 +38,11 @@ def planned_signals(case: Case) -> dict[str, np.ndarray]:
 
 
 def engine_of(run: Run) -> str:
-    """The name of the engine, and why the law is called."""
-    return f"{COMPILED} (law called: {called})" if (called := run.blocks.called) else COMPILED
+    """The name of the engine, and what is called."""
+    detects = "fault detection called" if run.blocks.detector is not None else ""
+    called = f"law called: {run.blocks.called}" if run.blocks.called else ""
+    what = "; ".join(filter(None, (called, detects)))
+    return f"{COMPILED} ({what})" if what else COMPILED
 
 
 def log_of(

@@ -24,6 +24,7 @@ from ffsm_drake.runs.ending import COMPLETED, Outcome
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import Course, Phase, phases_of_mission
+from ffsm_drake.systems.faults import detects
 
 NUDGE = 1.0 + np.finfo(float).eps  # changes last bits
 _LEFT = "its fault detection isolates a unit, or it diverges"
@@ -56,8 +57,7 @@ class Lane:
         self._nudge, self._start = nudge, time.perf_counter()
         self._course = Course(phases_of_mission(mission), mission)
         # what a run that is lost has for its log
-        is_detected = own is not None and own.case.made.detector is not None
-        self.lost = NotCovered(_LEFT) if is_detected else None
+        self.lost = NotCovered(_LEFT) if detects(mission.scenario) else None
         self.result: RunLog | NotCovered | None = self.lost
         self.steps = list[Hashable]()  # what its code depends on, from phase to phase
         self._noise: Noise | None = None
@@ -114,6 +114,11 @@ class Lane:
         run = Run(plan, case)
         run.given = dict(phase.blocks)
         return run
+
+    @property
+    def stage(self) -> LaneStage:
+        """The loop of the present phase."""
+        return self._stage
 
     @property
     def run(self) -> Run:
@@ -220,7 +225,8 @@ def _leg(kernel: Kernel, lanes: Sequence[Lane]) -> tuple[list[LaneEnd], dict[str
         for lane in lanes:
             lane.call_law(why)
     runs = [lane.run for lane in lanes]
-    rows, laws = [run.rows for run in runs], laws_of(kernel, runs)
+    detectors = [each for lane in lanes for each in lane.stage.detectors]
+    rows, laws = [run.rows for run in runs], laws_of(kernel, runs, detectors)
     began = time.perf_counter()
     ends = kernel.leg(
         [run.parameters for run in runs],
@@ -232,4 +238,7 @@ def _leg(kernel: Kernel, lanes: Sequence[Lane]) -> tuple[list[LaneEnd], dict[str
         plans=plans_of(runs),
         ends=lanes[0].ends,
     )
+    if laws is not None:
+        for lane, memory in zip(lanes, laws.remembered, strict=False):
+            lane.stage.looked = memory
     return ends, {"build": began - start, "advance_to": time.perf_counter() - began}

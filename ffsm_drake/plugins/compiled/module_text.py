@@ -137,16 +137,20 @@ class RunsText(ModuleText):
             yield f"  %{name}.first = mul i64 %sample.k, {size}"
             yield from self._lanes(name, f"%{name}", place)
             place += width
-        if blocks.called:
+        if blocks.calls:
             calls = [self._call(functions, name) for name in ("instants", "sensed")]
             yield from self._asked(calls)
             yield "  %goes_on = call i64 %call(i64 %sample.k, ptr %cells)"
             yield "  %is_stopped = icmp eq i64 %goes_on, 0"
-            yield "  br i1 %is_stopped, label %end, label %sampled"
-            yield "sampled:"
-            yield self._call(functions, "acted")
+            yield "  br i1 %is_stopped, label %end, label %called"
+            yield "called:"
+            if blocks.called:
+                yield self._call(functions, "acted")
+            else:
+                yield from self._sampled(functions)
         else:
-            yield from self._asked(self._sampled(functions))
+            sample = self._call(functions, "instants"), *self._sampled(functions)
+            yield from self._asked(sample)
         yield f"  %row = urem i64 %sample.k, {_ROWS}"
         yield from self._logged()
         yield self._call(functions, "judged")
@@ -192,7 +196,6 @@ class RunsText(ModuleText):
         """A sample of lanes, some of which may be at their first."""
         size = sum(self._blocks.results.values())
         made = f"%{next(iter(self._blocks.results))}"
-        yield self._call(functions, "instants")
         yield self._call(functions, "sample")
         yield from self._lanes_with("is_first")
         yield "  br i1 %is_first.any, label %first, label %sampled"

@@ -54,8 +54,6 @@ class Run:
             self._call_law(error.what)
         else:
             self._lay_out(*found)
-            if self.case.made.detector is not None:
-                self._call_law("fault detection")
         self.key = (self.case.kind, self.scenario.controller, type(self.law), *self.code)
 
     def _lay_out(
@@ -77,7 +75,8 @@ class Run:
         )
         # equal for runs that can have the same code
         sizes = law.size, planned
-        self.code = *sizes, *fixed.values(), self.case.constants, constants, self.steps
+        looks = str(self.blocks.detector_inputs), str(self.blocks.detector_outputs)
+        self.code = *sizes, *fixed.values(), self.case.constants, constants, self.steps, *looks
 
     @functools.cached_property
     def states(self) -> dict[str, np.ndarray]:
@@ -102,8 +101,7 @@ class Run:
     def _call_law(self, why: str) -> None:
         self._lay_out(np.zeros(0), (), 0, called=why)
         layout = {name: value.size for name, value in self.blocks.memory.items()}
-        ports = self.blocks.law_inputs, self.blocks.detector_inputs, self.blocks.detector_outputs
-        self.code = (*self.code, "called", str(layout), str(ports))
+        self.code = (*self.code, "called", str(layout), str(self.blocks.law_inputs))
 
     def with_called_law(self, why: str) -> "Run":
         """Return the run with its law called. Args: why the law is not traced."""

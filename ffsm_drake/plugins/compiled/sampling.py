@@ -1,7 +1,7 @@
 """A control sample of a loop on symbols: sensing, the law, the supervisor, and actuation.
 
 The law is the very object of the scenario, with symbols in place of its numbers (``parameters``).
-A law that is called instead (``called``) stands between two functions of a sample.
+A law or detector that is called instead (``called``) stands between two functions of a sample.
 """
 
 import numpy as np
@@ -32,7 +32,7 @@ class Sampling(Forces):
         return made | self._given(force, now, made["push"], made["watched_after"])
 
     def sensed(self) -> Made:
-        """Of a sample, what comes before the call of the law."""
+        """Of a sample, what comes before the call of the law or detector."""
         signals, made = self._measured(Now(self.cells.t0[0]))
         if self.blocks.tells_new:
             made["is_new"] = signals["measurement_is_new"]
@@ -47,6 +47,17 @@ class Sampling(Forces):
         cells = self.cells
         force, now = cells.generalized_force, Now(cells.t0[0])
         return self._given(force, now, cells.push, cells.watched_after)
+
+    def decided(self, *, is_first: bool) -> Made:
+        """Of a sample, what comes after the call of the detector, with the law."""
+        cells, now = self.cells, Now(self.cells.t0[0], is_first=is_first)
+        signals = {
+            name: getattr(cells, cell)[first : first + size]
+            for name, (cell, first, size) in self.blocks.law_inputs.items()
+        }
+        force, memory = self._control(signals, now)
+        made = {"generalized_force": force, "memory_after": memory}
+        return made | self._given(force, now, cells.push, cells.watched_after)
 
     def _measured(self, now: Now) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """The signals that the law can read, and results of the sample."""

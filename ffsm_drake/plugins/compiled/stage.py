@@ -14,7 +14,7 @@ from ffsm_drake.scenario import MassProperties
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.continuous import Continuous
-from ffsm_drake.systems.sampled import Arrays
+from ffsm_drake.systems.sampled import Arrays, Sampled
 
 
 class LaneStage(Stage):
@@ -27,6 +27,16 @@ class LaneStage(Stage):
         own = run.case.made.reference
         # memory of the reference at the begin and at the end of the phase
         self.followed = self._followed_then = None if own is None else own.block.start()
+        self.looked: Arrays | None = None  # what a detector remembers; None: its start
+
+    @property
+    def detectors(self) -> list[tuple[Sampled, Arrays]]:
+        """The detector, with its memory; none without it."""
+        detector = self.run.case.made.detector
+        if detector is None:
+            return []
+        known = self.begin.cells["x"][list(self.run.blocks.known)]
+        return [(detector, self.looked or detector.start(known))]
 
     @property
     def coordinates(self) -> Coordinates:
@@ -118,6 +128,7 @@ class LaneStage(Stage):
         cells = dict(before.begin.cells)
         cells["x"] = np.concatenate([own["x"][:plant], cells["x"][plant:]])
         cells.pop("touch")  # zero: the gripper of the phase before has no effect
+        self.looked = before.looked
         kept = {
             name: cells["corrected"][place]
             for name, place in parts(before.run.blocks.corrects).items()
