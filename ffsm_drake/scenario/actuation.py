@@ -20,6 +20,7 @@ from ffsm_drake.scenario.fields import (
     vector_in,
 )
 
+_BOX = (1.2, 1.2, 1.9)  # m, sides of the base of the shipped layouts
 # Combinations of groups that ``actuation.driven`` may name.
 DRIVEN = (("base_rotation", "base_position", "joints"), ("base_rotation", "joints"), ("joints",))
 
@@ -103,6 +104,17 @@ class Thrusters:
         "12x5N",
         "16x22N",
     )
+    force: float | None = setting(
+        None, "N", "thrust of every thruster of a layout; null: as in its name", above=0
+    )
+    box: list[float] | None = setting(
+        None,
+        "m",
+        "sides of the box to which a layout is scaled, about the origin of the base; null: 1.2, "
+        "1.2, 1.9",
+        size=3,
+        above=0,
+    )
     units: dict[str, Thruster] = unitless(
         {}, "thrusters by any name, which replace a layout", size=(0, 24)
     )
@@ -161,6 +173,9 @@ class Thrusters:
         """Check that the thrusters exist and can give the required pulses."""
         if self.layout is not None and self.units:
             yield f"{key}.units", "has no effect with a layout; set layout: null"
+        for name in ("force", "box"):
+            if self.layout is None and getattr(self, name) is not None:
+                yield f"{key}.{name}", "has no effect without a layout; remove it"
         names = thrusters_of(self)
         if not names:
             yield (
@@ -395,4 +410,11 @@ def thruster_layouts() -> dict[str, dict[str, Thruster]]:
 
 def thrusters_of(settings: Thrusters) -> dict[str, Thruster]:
     """Return the thrusters described by the settings, by name."""
-    return settings.units if settings.layout is None else thruster_layouts()[settings.layout]
+    units = settings.units if settings.layout is None else thruster_layouts()[settings.layout]
+    if settings.force is not None:
+        units = {name: replace(unit, force=settings.force) for name, unit in units.items()}
+    if settings.box is not None:
+        for name, unit in units.items():
+            place = [x * a / b for x, a, b in zip(unit.position, settings.box, _BOX, strict=True)]
+            units = {**units, name: replace(unit, position=place)}
+    return units

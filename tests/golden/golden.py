@@ -53,7 +53,15 @@ _SHORT_APPROACH = (
     "capture.approach.posture.joints={joint_1: 0.16, joint_2: 0.37, joint_3: 1.04, joint_4: "
     "0.58, joint_5: -0.69}",
 )
-SHORTENED = dict.fromkeys(("tumbling_capture", "capture_on_thrusters"), _SHORT_APPROACH)
+SHORTENED = {
+    "tumbling_capture": _SHORT_APPROACH,
+    "capture_on_thrusters": _SHORT_APPROACH,
+    "two_arms_detumble": (
+        "capture.approach=null",
+        "contacts.right.closes=1",
+        "faults.events.drawn.time=[0, 1]",
+    ),
+}
 _SMALLEST_CAMPAIGN = {
     "controllers": ["tdc"],
     "cases": 1,

@@ -126,6 +126,26 @@ def test_the_largest_wrench_is_found_however_short_the_arms(powers, number):
         assert allocation.solve(wrench)[1] == pytest.approx(best, rel=0.02, abs=1e-9)
 
 
+@pytest.mark.parametrize("layout", LAYOUTS)
+@given(force=st.floats(0.1, 50.0), sides=st.lists(st.floats(0.1, 10.0), min_size=3, max_size=3))
+def test_a_layout_is_scaled(layout, force, sides):
+    scaled = thrusters_of(Thrusters(layout=layout, force=force, box=sides))
+    for name, unit in thruster_layouts()[layout].items():
+        assert scaled[name].force == force
+        assert scaled[name].direction == unit.direction
+        # shares of the sides of the shipped base
+        shares = np.array(unit.position) / [1.2, 1.2, 1.9]
+        np.testing.assert_allclose(scaled[name].position, shares * sides, rtol=1e-14)
+
+
+@pytest.mark.parametrize("key", ["force=3", "box=[1,1,1]"])
+def test_only_a_layout_is_scaled(key):
+    given = ["actuation.thrusters.layout=null", f"actuation.thrusters.{key}"]
+    unit = "actuation.thrusters.units={a: {force: 2.0}}"
+    expected = f"thrusters.{key.partition('=')[0]}: has no effect without a layout"
+    assert_refused(expected, "thrusters_only", *given, unit)
+
+
 @pytest.mark.parametrize(("layout", "failures"), [("12x5N", 1), ("16x22N", 2)])
 def test_layouts_tolerate_failures(layout, failures):
     wrenches, largest, _ = wrenches_of(layout)

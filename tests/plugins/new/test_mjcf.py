@@ -118,7 +118,8 @@ def test_mass_matrix_is_mujocos(case: str, tmp_path: Path, monkeypatch: pytest.M
 
 def test_without_effect_is_listed_in_one_line(tmp_path: Path) -> None:
     more = """<camera name="c"/><light name="a"/><light name="b"/><body name="m" mocap="true"/>
-        <body name="n" mocap="true"/></worldbody><actuator><motor joint="elbow"/></actuator>"""
+        <body name="n" mocap="true"><site name="goal"/></body></worldbody>
+        <actuator><motor joint="elbow"/></actuator>"""
     _, remarks = made(CASES["fingers"].replace("</worldbody>", more), tmp_path)
     (line,) = [remark for remark in remarks if "passed over" in remark]
     for part in ("cone", "gravity", "timestep", "1 sensor", "1 keyframe", "1 camera", "2 lights",

@@ -13,6 +13,7 @@ from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
 from ffsm_drake.scenario import Scenario, override_scenario
+from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, tightest
 from ffsm_drake.systems.controllers import complete_gains, controller_factory, gain_vectors
@@ -47,7 +48,7 @@ def predicted_load(linearizer: Linearizer) -> float | None:
     if not scenario.grasps:
         return None
     answer = min(round(_ANSWER / scenario.sample_time), scenario.num_control_periods)
-    _, force = linearizer.follow(samples=answer)
+    force = _answer(linearizer, answer)
     begin = answer * scenario.sample_time
     times = np.linspace(begin, max(begin, min(motion.end, scenario.duration)), _INSTANTS)
     ideal = linearizer.planned.demand(times)
@@ -56,6 +57,14 @@ def predicted_load(linearizer: Linearizer) -> float | None:
     of = tightest(limits, FORCE), *(each for each in limits if each.quantity not in _OF_JOINTS)
     shares = [np.abs(ideal[each.quantity]) / each.upper for each in of if each.quantity in ideal]
     return max(float(np.nan_to_num(share, nan=np.inf).max()) for share in shares)
+
+
+def _answer(linearizer: Linearizer, samples: int) -> np.ndarray:
+    """Forces (samples, nv) of the loop just after the grasp, without later hands, N m or N."""
+    if len(closing_times(linearizer.given)) == 1:
+        return linearizer.follow(samples=samples)[1]
+    with Linearizer(linearizer.planned.mission, closed=0.0) as first:
+        return first.follow(samples=samples)[1]
 
 
 def advice(

@@ -129,8 +129,8 @@ def passed_over(parts: list[str]) -> Iterator[str]:
 
 
 def keep_servicer(root: Element) -> Iterator[str]:
-    """Remove the bodies that are not on a free body with moving joints; yield a remark on their
-    roots.
+    """Remove the bodies that are not on a free body with moving joints, and their frames; yield a
+    remark on their roots.
 
     If no free body has moving joints, bodies held by the world stay.
     """
@@ -156,6 +156,9 @@ def keep_servicer(root: Element) -> Iterator[str]:
             root.remove(links[name])
             if name in joints:
                 root.remove(joints[name])
+    for frame in root.findall("frame"):
+        if stems.get(frame.get("link", "")) in lone:
+            root.remove(frame)
     if lone:
         yield f"bodies left out, which are not part of the servicer: {listed([*lone])}"
 
