@@ -12,7 +12,7 @@ from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.new.base_box import BaseBox
 from ffsm_drake.scenario import Scenario, load_scenario, shipped_scenarios, thruster_layouts
-from ffsm_drake.scenario.actuation import DRIVEN, Wheel
+from ffsm_drake.scenario.actuation import DRIVEN, Thruster, Wheel
 
 _CAPTURE = "tumbling_capture"  # the estimator through a grasp
 _THRUST = 0.0125  # m/s^2, of a thruster sized for a base, as 5 N on the shipped servicer
@@ -131,10 +131,8 @@ class Asked:
 
     @property
     def has_approach(self) -> bool:
-        """Whether the run begins before the grasp. This needs a capture with one hand and all
-        coordinates driven.
-        """
-        return self.capture is not None and self.drives("all") and self.tips is None
+        """Whether the run begins before the grasp, for a capture with all coordinates driven."""
+        return self.capture is not None and self.drives("all")
 
     def drives(self, group: str) -> bool:
         """Whether a group of coordinates is driven."""
@@ -166,22 +164,25 @@ class Asked:
     def thruster_settings(self, mass: float, box: BaseBox) -> dict[str, Any]:
         """Return the settings of the thrusters for a base of a mass (kg) in a box.
 
-        A shipped layout with the number and the thrust is used if it fits the box. Otherwise a
-        shipped layout with the number is moved and scaled.
+        A shipped layout with the number is scaled to the box, and is moved if the box is not about
+        the origin.
         """
         count, force = self.thrusters or (0, None)
         layouts = {name: name for name in thruster_layouts() if name.startswith(f"{count}x")}
         shipped = layouts.get(f"{count}x{force:g}N") if force is not None else None
-        if shipped and not np.abs([*(box.half - _LAYOUT_BOX), *box.centre]).max() > _FITS:
-            return {"layout": shipped}
-        like = thruster_layouts()[shipped or next(iter(layouts))]
+        layout = shipped or next(iter(layouts))
         force = rounded(_THRUST * mass) if force is None else force
-        scale = box.half / _LAYOUT_BOX
+        if np.abs(box.centre).max() <= _FITS:
+            given = {"layout": layout} | ({} if shipped else {"force": force})
+            fits = np.abs(box.half - _LAYOUT_BOX).max() <= _FITS
+            return given | ({} if fits else {"box": [rounded(2.0 * x) for x in box.half.tolist()]})
+        like = thruster_layouts()[layout]
+        scale, usual = box.half / _LAYOUT_BOX, Thruster()
         units = {
             name: {
                 "position": [rounded(x) for x in (box.centre + scale * unit.position).tolist()],
-                "direction": unit.direction,
-                "force": force,
+                "direction": [rounded(x / max(map(abs, unit.direction))) for x in unit.direction],
+                **({} if force == usual.force else {"force": force}),
                 **({"specific_impulse": unit.specific_impulse} if shipped else {}),
             }
             for name, unit in like.items()

@@ -79,7 +79,7 @@ class Draft:
     def disturbance(self) -> np.ndarray:
         """Largest force (nv) of the disturbance, N m or N."""
         harmonics = self.data["disturbance"]["harmonics"].items()
-        largest = {name: each["amplitude"] for name, each in harmonics}
+        largest = {name: each["amplitude"] for name, each in harmonics}  # a coordinate or group
         return self.coordinates.vector(largest, key="disturbance", default=0.0)
 
     def planned(self, **changes: Any) -> PlannedDynamics:

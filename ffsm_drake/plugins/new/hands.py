@@ -6,6 +6,7 @@ face, with z into the cube. The rotation about z is free. A target from a file h
 the second hand.
 """
 
+import copy
 import dataclasses
 import itertools
 from collections.abc import Iterator
@@ -20,8 +21,10 @@ from ffsm_drake.common.files import write_text
 from ffsm_drake.common.numbers import counted
 from ffsm_drake.common.so3 import cross, rotation_error
 from ffsm_drake.common.steps import step
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.plugins.new.draft import Draft
+from ffsm_drake.plugins.new.opening import open_capture, openings
 from ffsm_drake.plugins.new.postures import CLEAR, Postures
 from ffsm_drake.plugins.new.urdf.formats.building import text
 from ffsm_drake.plugins.new.urdf.target import SECOND, Target
@@ -31,6 +34,12 @@ from ffsm_drake.spacecraft.plant import find_frame
 from ffsm_drake.systems.reference import make_motion
 
 _CONTACTS = ("first", "second")  # their names
+_CHOSEN = (
+    "initial_posture",
+    "contacts",
+    "capture",
+    "reference",
+)  # sections that a motion determines
 _DRAWN, _HELD = 300, 4  # postures of the first arm; ways to hold, of which the best is taken
 _TRIALS = 12  # trials of the inverse kinematics for each of these postures, at least
 _STEPS, _LONGEST = 25, 0.3  # steps of the inverse kinematics; rad or m
@@ -136,7 +145,7 @@ class Hands(Postures):
                 name: {"effector": f"servicer::{tip.frame}", "frame": f"debris::{frame}"}
                 for name, tip, frame in zip(_CONTACTS, self._tips, frames, strict=True)
             }
-            draft.data["target_posture"]["joints"] = self.by_name(hold.joints)
+            draft.data["target_posture"]["joints"] = self.by_name(np.round(hold.joints, 4))
             if hold.distance < 0.0:
                 draft.touching = "no posture of both hands that is free of contact was found"
             with step(lambda: f"motion {self._motions} of at most {_MOST_MOTIONS} of both hands"):
@@ -267,6 +276,8 @@ class Hands(Postures):
                 break
             self._ways += 1
             change = np.round(size * self._random.choice([-1.0, 1.0], n), 3)
+            if self._draft.asked.has_approach:
+                change *= self._ways > 1  # the motion leaves the posture with the target's velocity
             begin = hold.joints.copy()
             begin[self._arms[0]] += change[self._arms[0]]
             closed = self._reached(begin, hold.place, turned=False)
@@ -274,10 +285,10 @@ class Hands(Postures):
                 continue
             if self._distance(closed) < min(CLEAR, hold.distance):
                 continue
-            data["initial_posture"]["joints"] = self.by_name(np.round(closed, 6))
-            mission = draft.mission
+            data["initial_posture"]["joints"] = self.by_name(np.round(closed, 4))
             self._motions += 1
             try:
+                mission = self._opened(closed) if draft.asked.has_approach else draft.mission
                 motion = make_motion(mission)
             except ScenarioError:
                 continue
@@ -287,18 +298,41 @@ class Hands(Postures):
             near = min((each.distance for each in plan_clearance(mission)), default=np.inf)
             if best is None or near > best[0]:
                 rates = np.abs(rows[:, -2 * n - NUM_BASE_VELOCITIES :][:, :n]).max(axis=0)
-                best = near, closed, rates
+                chosen = copy.deepcopy({key: data[key] for key in _CHOSEN})
+                best = near, chosen, rates
             if near >= min(CLEAR, hold.distance):
                 break
         if best is None:
             return False
-        near, start, rates = best
-        data["initial_posture"]["joints"] = self.by_name(np.round(start, 6))
+        near, chosen, rates = best
+        data |= chosen
         slow = max(rate / draft.rate_of(joint) for joint, rate in self.by_name(rates).items())
-        data["reference"]["duration"] *= max(1.0, slow)
+        if not draft.asked.has_approach:  # then the tumble determines the largest rates
+            data["reference"]["duration"] *= max(1.0, slow)
         if near < 0.0 and not draft.touching:
             draft.touching = f"no motion free of contact was found: parts overlap by {-near:.3g} m"
         return True
+
+    def _opened(self, held: np.ndarray) -> Mission:
+        """Return the mission whose approach begins with open hands, from the joints (n) at which
+        both hands hold the target.
+
+        Raises ScenarioError: the hands cannot open, or no motion is planned.
+        """
+        draft, problem = self._draft, ScenarioError("--tips", "the hands cannot open")
+        hands = [*zip(self._hands, self._arms, (tip.reach for tip in self._tips), strict=True)]
+        hands[1] = (self._hands[1], self._second, self._tips[1].reach)
+        for joints in openings(self, held, hands):
+            if min(self._distance(each) for each in joints) < 0.0:
+                continue
+            open_capture(draft, *(self.by_name(np.round(each, 4)) for each in joints))
+            try:
+                plan_clearance(mission := draft.mission)
+            except ScenarioError as error:
+                problem = error
+            else:
+                return mission
+        raise problem
 
     def _is_within(self, joints: np.ndarray) -> bool:
         """Whether joints (..., n) are within their limits."""

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.steps import step
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.design.rounding import rounded
@@ -36,7 +37,8 @@ class Pacing:
         """Choose a harmonic disturbance for each driven coordinate.
 
         Its amplitude is proportional to the effective inertia of the coordinate in the target
-        posture, and leaves most of the actuator force to the motion.
+        posture, and leaves most of the actuator force to the motion. With two hands, the
+        coordinates of a group have the smallest of their amplitudes.
         """
         planned, harmonics = self._draft.planned(capture=None), dict[str, dict[str, float]]()
         inertia = effective_inertia(planned.mass_matrices(planned.motion.end)[0])
@@ -54,6 +56,12 @@ class Pacing:
                     "frequency": _FREQUENCIES[k % len(_FREQUENCIES)],
                     "phase": 1.571 if k % 3 == 1 else 0.0,
                 }
+        if self._asked.tips is not None:
+            harmonics = {
+                group: min((harmonics[name] for name in names), key=lambda each: each["amplitude"])
+                for group, part in coordinates.groups.items()
+                if (names := [name for name in coordinates.names[part] if name in harmonics])
+            }
         self._data["disturbance"]["harmonics"] = harmonics
 
     def lengthen(self) -> bool:
@@ -62,12 +70,18 @@ class Pacing:
         Returns: whether a duration was increased.
         """
         reference, longer = self._data["reference"], math.inf
-        before = reference["duration"]
+        before = kept = reference["duration"]
         while longer > reference["duration"]:
             if longer < math.inf:
-                reference["duration"] = longer
-            with step(f"trying a motion of {reference['duration']:g} s"):
-                self._draft.peaks = self._motion_peaks() + self._draft.disturbance
+                kept, reference["duration"] = reference["duration"], longer
+            try:
+                with step(f"trying a motion of {reference['duration']:g} s"):
+                    self._draft.peaks = self._motion_peaks() + self._draft.disturbance
+            except ScenarioError:
+                if longer == math.inf:
+                    raise
+                reference["duration"] = kept  # in a longer motion, two hands lose their reach
+                break
             self._hardware.size_wheels()
             longer = self._longer(
                 reference["duration"], self._draft.peaks - self._draft.disturbance
@@ -78,6 +92,10 @@ class Pacing:
         approach = self._data["capture"]["approach"]
         before = approach["duration"]
         approach["duration"] = self._longer(before, self._approach_peaks())
+        try:
+            self._approach_peaks()
+        except ScenarioError:
+            approach["duration"] = before  # a longer approach meets a face of the target
         return is_longer or bool(approach["duration"] > before)
 
     def overloads(self) -> bool:

@@ -105,13 +105,16 @@ class NewScenario:
             lines[-1] += f"; sampled loop: {', '.join(verdicts)}"
         entries = sorted(path.name for path in self.scenario_file.parent.iterdir())
         scenario = shlex.quote(str(folder / self.scenario_file.name))
+        verbs = ["run", "compare", "stability", "design"]
+        if found.second is not None:  # with gains of one law
+            verbs.remove("compare")
         return "\n".join([
             *lines,
             *(["", *(f"- {remark}" for remark in self.remarks)] if self.remarks else []),
             "",
             f"Written to {folder}: {', '.join(entries)}",
             "Next:",
-            *(f"  ffsm {verb} {scenario}" for verb in ("run", "compare", "stability", "design")),
+            *(f"  ffsm {verb} {scenario}" for verb in verbs),
         ])  # fmt: skip
 
 

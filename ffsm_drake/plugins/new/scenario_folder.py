@@ -17,11 +17,12 @@ from ffsm_drake.common.steps import step
 from ffsm_drake.plugins.design.rounding import rounded
 from ffsm_drake.plugins.new.asked import Asked
 from ffsm_drake.plugins.new.first_mission import FirstMission
+from ffsm_drake.plugins.new.flow_text import WIDTH, flow_text
 from ffsm_drake.plugins.new.result import NewScenario, limits_text
 from ffsm_drake.plugins.new.urdf.servicer import Servicer
 from ffsm_drake.plugins.new.urdf.target import SECOND, Target, cube
 from ffsm_drake.plugins.new.urdf.writing import write_urdf
-from ffsm_drake.scenario import Scenario, write_yaml
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.plant import check_pictures
 
 _TEMPLATE = Path(__file__).with_name("first_scenario.yaml")
@@ -29,6 +30,7 @@ _TARGET = "target"  # folder of a user's
 _PAYLOAD_SHARE = 0.25  # share of the base's mass
 _TRIES = 3  # draws of postures
 _HALVED = 3  # times that the side of a target may be, until it touches nothing
+_WRITTEN = ("model", "mass", "inertia", "controller", "duration")  # keys, also with a default
 _NOMINAL_SHARE = 0.8  # share of the payload's true mass and inertia
 
 
@@ -96,6 +98,8 @@ def _data(data: dict[str, Any], servicer: Servicer, asked: Asked) -> dict[str, A
     if asked.is_paper:
         data["controller"] = Scenario.controller
     efforts = {joint.name: joint.effort for joint in servicer.joints if joint.effort < 1e20}
+    if len(efforts) == len(servicer.joints) and len({*efforts.values()}) == 1:
+        efforts = {"joints": servicer.joints[0].effort}
     data["actuation"] = {"limit": efforts} if efforts else {}
     if asked.friction and (drives := servicer.drives):
         data["actuation"]["drives"] = drives
@@ -201,25 +205,39 @@ def _write_models(
 def _filled(template: str, data: Mapping[str, Any], servicer: Servicer) -> str:
     """Return the template with the data of a scenario, block by block.
 
-    Short nested values are on one line, and empty sections are left out.
+    Empty sections and defaults are left out.
     """
-    limits = "; ".join(f"{joint.name} {limits_text(joint)}" for joint in servicer.joints)
+    named: dict[str, list[str]] = {}
+    for joint in servicer.joints:
+        named.setdefault(limits_text(joint), []).append(joint.name)
+    limits = "; ".join(f"{', '.join(names)} {text}" for text, names in named.items())
+    if len(named) == 1:
+        limits = f"all {next(iter(named))}"
     template = template.replace("LIMITS", limits)
     template = template.replace("CONTROLLERS", ", ".join(data["controllers"]))
-    parts = list[str]()
+    changed, parts = _unusual(data, Scenario()), list[str]()
     for block in template.split("\n\n"):
-        comment = " ".join(re.findall("^# (.*)", block, re.MULTILINE))
-        wrapped = "".join(f"# {line}\n" for line in textwrap.wrap(comment, 116))
-        kept = {key: data[key] for key in yaml.safe_load(block) if data[key] != {}}
-        for key, value in kept.items():
-            is_nested = isinstance(value, Mapping) and any(
-                isinstance(each, (Mapping, list)) for each in value.values()
-            )
-            wrapped += write_yaml(
-                {key: value},
-                allow_unicode=True,
-                width=100,
-                default_flow_style=None if is_nested else False,
-            )
-        parts += [wrapped] if kept else []
+        part = ""
+        for comment, keys in re.findall(r"((?:^#.*\n)*)((?:^[^#].*\n?)+)", block, re.MULTILINE):
+            told = " ".join(re.findall("^# (.*)", comment, re.MULTILINE))
+            kept = {key: changed[key] for key in yaml.safe_load(keys) if key in changed}
+            if kept:
+                part += "".join(f"# {line}\n" for line in textwrap.wrap(told, WIDTH - 2))
+            part += "".join(flow_text(key, value) for key, value in kept.items())
+        parts += [part] if part else []
     return "\n".join(parts)
+
+
+def _unusual(data: Mapping[str, Any], usual: Any) -> dict[str, Any]:
+    """Return the data of a section that differ from its settings, without empty sections.
+
+    The keys that users change most are always there.
+    """
+    found = dict[str, Any]()
+    for key, value in data.items():
+        default = getattr(usual, key, None)
+        if isinstance(value, Mapping) and key != "model" and not isinstance(default, dict | None):
+            value = _unusual(value, default)
+        if value not in ({}, default) or key in _WRITTEN:
+            found[key] = value
+    return found

@@ -82,7 +82,7 @@ class Tuning:
           matrices: mass matrices (m, nv, nv) along the motion.
         """
         found = self._data["controllers"]
-        for name in CORE_LAWS:
+        for name in CORE_LAWS if self._asked.tips is None else (self._data["controller"],):
             law: Any = find_factory("controller", name)
             if self._asked.is_paper:
                 gains = law.starting_gains(omega, matrices)

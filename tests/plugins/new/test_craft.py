@@ -24,7 +24,7 @@ from ffsm_drake.plugins.new.urdf.mounting import make_bus
 from ffsm_drake.plugins.new.urdf.servicer import read_urdf
 from ffsm_drake.plugins.new.urdf.target import cube, read_target
 from ffsm_drake.plugins.new.urdf.writing import write_urdf
-from ffsm_drake.scenario import load_scenario, thruster_layouts
+from ffsm_drake.scenario import load_scenario, thruster_layouts, thrusters_of
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.craft import make_true_plant
 
@@ -421,7 +421,7 @@ def test_thrusters_and_panels_are_on_the_box_of_the_base(
             raise
         return
     slack = 0.02 * (sides.max() + np.abs(middle).max())
-    units = list(new.scenario.actuation.thrusters.units.values())
+    units = list(thrusters_of(new.scenario.actuation.thrusters).values())
     assert len(units) == int(word[:2])
     for unit in units:
         at = np.abs(unit.position - middle)
@@ -445,9 +445,10 @@ def test_thrusters_and_panels_are_on_the_box_of_the_base(
 
 
 def test_the_layout_of_the_shipped_servicer_fits_it(tmp_path: Path) -> None:
-    """The layout of its size stays a name; it is written out for a base that is a little larger."""
+    """The layout of its size stays a name; it is scaled for a base that is a little larger."""
     model = load_scenario("paper").model
-    for scale, layout in ((1.0, "12x5N"), (1.1, None)):
+    for scale, more in ((1.0, {}), (1.1, {"box": [1.32, 1.32, 2.09]})):
         box = BaseBox.of(model, ["base"], "base", side=9.0)
         box = dataclasses.replace(box, half=scale * box.half)
-        assert Asked.parsed(thrusters="12x5N").thruster_settings(400.0, box)["layout"] == layout
+        found = Asked.parsed(thrusters="12x5N").thruster_settings(400.0, box)
+        assert found == {"layout": "12x5N", **more}

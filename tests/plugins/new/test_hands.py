@@ -25,13 +25,18 @@ BOX = robot(
 )
 
 
-def made(folder: Path, text: str, *hands: str, **options: object) -> NewScenario:
+CAPTURE = {"capture": "5deg/s", "thrusters": "16", "wheels": "4", "sensors": "flight"}
+
+
+def made(
+    folder: Path, text: str, *hands: str, words: dict[str, str] | None = None, **options: object
+) -> NewScenario:
     (folder / "craft.urdf").write_text(text)
     tips = hands or ("left_hand", "right_hand")
     return new_scenario(
         folder / "craft.urdf",
         folder / "made",
-        asked=Asked.parsed(tips=",".join(tips)),
+        asked=Asked.parsed(tips=",".join(tips), **(words or {})),
         **options,  # type: ignore[arg-type]
     )
 
@@ -57,6 +62,20 @@ def test_two_arms_settle(tmp_path: Path, axes: str, torso: bool) -> None:
     ]
     assert new.data()["second_tip"] == "right_hand"
     assert f"tip         right_hand, {len(axes) + torso} joints" in new.summary()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("axes", [SPATIAL, "zyyxyxz"])
+def test_both_hands_capture_one_after_the_other(tmp_path: Path, axes: str) -> None:
+    """The file is short, the approach begins with open hands, and the run settles."""
+    new = made(tmp_path, two_hands(axes), words=CAPTURE, payload_mass=100.0)
+    given = load_scenario(new.scenario_file)
+    lines = len(new.scenario_file.read_text().splitlines())
+    assert lines < 60 + 5 * (len(axes) - len(SPATIAL))
+    assert given.approach is not None
+    assert given.approach.start == "clear"
+    assert [each.closes for each in given.contacts.values()] == [0.0, 5.0]
+    assert settles(new)
 
 
 @pytest.mark.long
