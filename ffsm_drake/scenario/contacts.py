@@ -160,15 +160,13 @@ def _contact_problems(scenario: Any) -> Problems:
         return
     yield from _of_hands(scenario)
     yield from _of_late_hands(scenario)
-    # Detection compares with a plant without contacts, and a supervisor restarts the law's internal
-    # force.
+    # Detection compares with a plant without contacts.
     for key, problem in (
         ("capture.closing", scenario.closing is not None),
         ("capture.joints", scenario.grasps and scenario.capture.joints == "braked"),
         ("reference.frame", scenario.reference.frame is not None),
         ("reference.kind", scenario.reference.kind == "optimal"),
         ("actuation.driven", bool(scenario.undriven)),
-        ("supervisor", scenario.supervisor),
         ("faults.detection", getattr(scenario.faults, "detection", None)),
     ):
         if problem and len(scenario.contacts) > 1:

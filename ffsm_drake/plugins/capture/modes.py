@@ -3,24 +3,28 @@
 import dataclasses
 import enum
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.common.registrations import Registry
 from ffsm_drake.mission import Mission
-from ffsm_drake.plugins.capture.approach import approach_posture, force_share
+from ffsm_drake.plugins.capture.approach import approach_posture
 from ffsm_drake.plugins.capture.postures import posture_of
 from ffsm_drake.scenario import Reference
+from ffsm_drake.spacecraft.limits import FORCE
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.mission_limits import actuation_limit
+from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
 from ffsm_drake.systems.reference import make_motion
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 from ffsm_drake.systems.setup import BlockSetup
 
 _SHORTEST, _GROWTH, _LONGEST = 5.0, 1.15, 600.0  # s, of a new plan
+_LEAST_ROOM = 0.1  # of a limit, for damping beside the force between hands
 _INSTANTS = 41  # number of instants of a plan at which its force is compared with the limits
 
 
@@ -48,6 +52,29 @@ class Cause(enum.IntEnum):
     ERROR = 2
     RATE = 3
     REQUEST = 4
+
+
+class SupervisedChain(Protocol):
+    """The closed chain of several hands, for a supervisor."""
+
+    def __init__(self, setup: BlockSetup) -> None:
+        """Args: the setup of the supervisor."""
+
+    def kept(self) -> Any:
+        """Return what keeps the internal force of a law that starts anew: it has a ``size`` and
+        ``step(q, mass_matrix, commands, wrenches, begins, goes_on)``, which returns wrenches and
+        a force (nv). None: the law controls no internal force.
+        """
+
+    def follow(self, motion: PlannedMotion, since: float) -> PlannedMotion:
+        """Return a motion that closes the chain, of one that begins ``since`` s after the grasp.
+
+        Raises ScenarioError: there is none.
+        """
+
+
+# "contacts"
+SUPERVISED_CHAINS = Registry[type[SupervisedChain]]("supervised_chains")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -78,6 +105,7 @@ class Supervising(Sampled):
     grasp_time: float  # s
     end: float  # s, of the scenario's own motion
     is_empty: bool  # the gripper
+    internal: Any  # the force between the hands, see ``SupervisedChain.kept``
     in_phase: ClassVar = ("grasp_time", "end", "is_empty")
     optional: ClassVar = ("abort_request",)
 
@@ -96,6 +124,7 @@ class Supervising(Sampled):
         return {
             "mode": 1, "mode_cause": 1, "restart": 1, "force": nv, "held": 2 * nv + 1,
             "plan": 2 * nv + 4, "asks": 1,
+            **({} if self.internal is None else {"internal_force": nv}),
         }  # fmt: skip
 
     def start(self, state: np.ndarray | None = None) -> Arrays:
@@ -105,6 +134,8 @@ class Supervising(Sampled):
         # plan, 2 none
         sizes |= dict.fromkeys(("over", "quiet", "plans", "asked", "answer"), 1)
         sizes = {"restart": 1, **sizes, "filtered": sizes["force"]}
+        if self.internal is not None:
+            sizes |= {"wrenches": self.internal.size, "forgot": 1}
         return {name: np.zeros(size) for name, size in sizes.items()}
 
     def phase(self, sample: Any) -> Sequence[Any]:
@@ -139,8 +170,13 @@ class Supervising(Sampled):
         damps = was_damping | (acts & ~retreats)
 
         q, v = np.split(state, [len(state) - len(command)])
-        wanted = self.damping * (self.model.calc_mass_matrix(q) @ v)
-        damping = -(1.0 / np.maximum(1.0, (np.abs(wanted) / self.limit).max())) * wanted
+        mass_matrix = self.model.calc_mass_matrix(q)
+        wanted = self.damping * (mass_matrix @ v)
+        room = self.limit
+        if self.internal is not None:  # which needs some of it
+            left = self.limit - np.abs(memory["internal_force"])
+            room = np.maximum(left, _LEAST_ROOM * self.limit)
+        damping = -(1.0 / np.maximum(1.0, (np.abs(wanted) / room).max())) * wanted
         filtered = np.where(was_damping, memory["filtered"], wanted)
         filtered = filtered + self.share * (wanted - filtered)
         is_quiet = (np.abs(filtered) <= self.end_share * self.limit).all()
@@ -161,10 +197,27 @@ class Supervising(Sampled):
             "plans": memory["plans"] + np.where(is_planned, 1.0, 0.0),
             "plan": memory["plan"], "answer": np.zeros_like(memory["answer"]),
         }  # fmt: skip
+        if self.internal is not None:
+            after |= self._kept((q, mass_matrix), (clipped, command), memory, after["restart"])
         asks = (flees | is_over) & (memory["answer"] == 0.0)
         after = {name: after[name] for name in memory}
         outputs = {name: after[name] for name in self.outputs if name != "asks"}
         return outputs | {"asks": np.where(asks, 1.0, 0.0)}, after
+
+    def _kept(
+        self,
+        at: tuple[np.ndarray, np.ndarray],
+        commands: tuple[np.ndarray, np.ndarray],
+        memory: Arrays,
+        restart: np.ndarray,
+    ) -> dict[str, np.ndarray]:
+        """The force between hands after a sample, in the memory. Args: configuration and mass
+        matrix; the law's force at the sample before, within the limits and without; ...
+        """
+        was_anew = memory["restart"] != 0.0  # the law reads it at the sample after
+        begins, goes_on = (restart != 0.0) & ~was_anew, was_anew & (memory["forgot"] != 0.0)
+        wrenches, force = self.internal.step(*at, commands, memory["wrenches"], begins, goes_on)
+        return {"wrenches": wrenches, "internal_force": force, "forgot": memory["restart"]}
 
     @staticmethod
     def follow(
@@ -180,7 +233,8 @@ class Supervising(Sampled):
     @staticmethod
     def give(memory: Arrays, force: np.ndarray) -> np.ndarray:
         """Return the command in place of the law's force. Args: the memory after a sample."""
-        return np.where(memory["restart"] != 0.0, memory["force"], force)
+        given = np.where(memory["restart"] != 0.0, memory["force"], force)
+        return given + memory["internal_force"] if "internal_force" in memory else given
 
     def _causes(
         self, inputs: Arrays, memory: Arrays, was_damping: np.ndarray
@@ -212,7 +266,9 @@ class Supervising(Sampled):
 
 
 def supervising(setup: BlockSetup, *, begin: float, waits: bool) -> Supervising:
-    """Raises ScenarioError: no force has a limit."""
+    """The mode logic of a phase, without the force between hands. Raises ScenarioError: no force
+    has a limit.
+    """
     scenario, coordinates, settings = setup.scenario, setup.coordinates, setup.scenario.supervisor
     assert settings is not None
     largest, limit = (
@@ -246,6 +302,7 @@ def supervising(setup: BlockSetup, *, begin: float, waits: bool) -> Supervising:
         grasp_time=begin + scenario.grasp_time,
         end=begin + (make_motion(setup.mission, setup.grip).end if rest is None else rest),
         is_empty=not setup.grip.holds,
+        internal=None,
     )
 
 
@@ -255,6 +312,7 @@ class Supervisor(Sampled):
 
     block: Supervising
     mission: Mission
+    chain: SupervisedChain | None  # of several hands
     optional: ClassVar = Supervising.optional
 
     @property
@@ -288,9 +346,9 @@ class Supervisor(Sampled):
             return {**memory, "answer": np.array([2.0])}
         return {**memory, "answer": np.array([1.0]), "plan": found}
 
-    def motion(self, plan: np.ndarray) -> PolynomialMotion:
+    def motion(self, plan: np.ndarray) -> PlannedMotion:
         """The motion of a new plan [begin; duration; retreats; q; v] from a state to rest, as a
-        function of the time since its begin.
+        function of the time since its begin. Raises ScenarioError: no motion closes the chain.
         """
         scenario, coordinates = self.mission.scenario, self.mission.craft.coordinates
         duration = float(plan[1])
@@ -298,7 +356,7 @@ class Supervisor(Sampled):
         goal = None if scenario.reference.goal == "stop" else scenario.target_posture
         if plan[2] and scenario.grasp_time > 0.0:
             goal = approach_posture(self.mission)
-        return PolynomialMotion(
+        motion = PolynomialMotion(
             coordinates=coordinates,
             start=posture_of(q, coordinates),
             target=goal,
@@ -307,6 +365,20 @@ class Supervisor(Sampled):
             sample_time=scenario.sample_time,
             velocity=v,
         )
+        if self.chain is None or plan[2]:
+            return motion
+        return self.chain.follow(motion, float(plan[0]) - self.block.grasp_time)
+
+    def share(self, plan: np.ndarray, most: np.ndarray) -> float:
+        """The largest share of limits (nv) of force that a new plan takes; infinite: no motion
+        closes the chain.
+        """
+        times = np.linspace(0.0, float(plan[1]), _INSTANTS)
+        try:
+            force = self.motion(plan).demand(self.block.model, times)[FORCE]
+        except ScenarioError:
+            return np.inf
+        return float((np.abs(force) / most).max())
 
 
 def plan_anew(
@@ -323,8 +395,7 @@ def plan_anew(
     least, gentlest = np.inf, None
     while duration <= _LONGEST:
         plan = np.concatenate([[time, duration, retreats], state])
-        rows = supervisor.motion(plan).rows(np.linspace(0.0, duration, _INSTANTS))
-        share = force_share(block.model, rows, most)
+        share = supervisor.share(plan, most)
         if share <= 1.0:
             return plan
         if retreats and share < least:

@@ -18,7 +18,15 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from ffsm_drake.plugins.capture.modes import Cause, Mode, Supervising, Supervisor, supervising
+from ffsm_drake.plugins.capture.modes import (
+    SUPERVISED_CHAINS,
+    Cause,
+    Mode,
+    SupervisedChain,
+    Supervising,
+    Supervisor,
+    supervising,
+)
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.continuous import Continuous, InstantSystem
 from ffsm_drake.systems.parts.metrics import Figure, Metric
@@ -56,7 +64,7 @@ class SupervisorPart(Part):
         this sample), ``mode``, ``mode_cause``.
         """
         supervisor = self.supervisor(setup)
-        plan, command = _Plan(supervisor=supervisor), _Command(size=supervisor.outputs["force"])
+        plan, command = _Plan(supervisor=supervisor), _Command(block=supervisor.block)
         passed = (*plan.outputs, *command.outputs)
         return CompositeBlock(
             "supervisor",
@@ -74,7 +82,11 @@ class SupervisorPart(Part):
     def supervisor(self, setup: BlockSetup) -> "Supervisor":
         """Return what the block does. Raises ScenarioError: no force has a limit."""
         block = supervising(setup, begin=self._begin, waits=self._waits)
-        return Supervisor(block=block, mission=setup.mission)
+        chain: SupervisedChain | None = None
+        if len(setup.scenario.contacts) > 1:
+            chain = SUPERVISED_CHAINS.load("contacts", "contacts")(setup)
+            block = dataclasses.replace(block, internal=chain.kept())
+        return Supervisor(block=block, mission=setup.mission, chain=chain)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """The mode, and what ended the one before rate damping."""
@@ -191,17 +203,19 @@ class _Plan(Continuous):
 class _Command(Continuous):
     """The command in place of the law's force."""
 
-    size: int  # nv
+    block: Supervising
 
     @property
     def inputs(self) -> Mapping[str, int]:
         """See Continuous."""
-        return {**self.outputs, "restart": 1, "force": self.size}
+        sizes = self.block.outputs
+        read = ("restart", "force", "internal_force")
+        return {**self.outputs, **{name: sizes[name] for name in read if name in sizes}}
 
     @property
     def outputs(self) -> Mapping[str, int]:
         """See Continuous."""
-        return {"generalized_force": self.size}
+        return {"generalized_force": self.block.outputs["force"]}
 
     def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
         """See Continuous."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from ffsm_drake.plugins.compiled.called import parts
 from ffsm_drake.plugins.compiled.kernel import LaneEnd, LaneState
-from ffsm_drake.plugins.compiled.parts import at_start, row, sizes_of
+from ffsm_drake.plugins.compiled.parts import at_start, row, sizes_of, total
 from ffsm_drake.plugins.compiled.run import Run
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import MassProperties
@@ -129,6 +129,7 @@ class LaneStage(Stage):
         cells["x"] = np.concatenate([own["x"][:plant], cells["x"][plant:]])
         cells.pop("touch")  # zero: the gripper of the phase before has no effect
         self.looked = before.looked
+        cells |= self._remembered(before, afresh)
         kept = {
             name: cells["corrected"][place]
             for name, place in parts(before.run.blocks.corrects).items()
@@ -151,9 +152,30 @@ class LaneStage(Stage):
             self.followed = before.followed or self.followed
         if (held := self.run.parameters["joint_force"]).size:  # the law reads what acts now
             cells["applied"] = np.concatenate([cells["applied"][: -held.size], held])
-        if "supervisor" in afresh:
-            cells["watched"] = np.zeros_like(cells["watched"])
         self.begin = LaneState(cells, self.begin.sample, first_at)
+
+    def _remembered(self, before: "LaneStage", afresh: Collection[str]) -> dict[str, np.ndarray]:
+        """The memory of the sampled blocks by cell: from the phase before, or at the start; and
+        what acted there.
+        """
+        found, then = dict[str, list[np.ndarray]](), before.begin.cells
+        others = {(each.kind, each.name): each for each in before.run.blocks.sampled}
+        for each in self.run.blocks.sampled:
+            cells, first, size = self.begin.cells, each.first, total(at_start(each.block))
+            other = others.get((each.kind, each.name))
+            names = {each.kind, f"{each.kind}.{each.name}"}
+            if other is not None and not names & {*afresh}:
+                cells, first = then, other.first
+            found.setdefault(each.cell, []).append(cells[each.cell][first : first + size])
+        acted = parts(before.run.blocks.held) if then["held_before"].size else {}
+        if self.run.blocks.keeps:
+            found["held_before"] = [
+                then["held_before"][acted[name]]
+                if before.run.blocks.held.get(name) == size and name in acted
+                else np.zeros(size)
+                for name, size in self.run.blocks.held.items()
+            ]
+        return {name: row(values) for name, values in found.items()}
 
     def follow(self) -> None:
         """Compute the reference over the phase."""

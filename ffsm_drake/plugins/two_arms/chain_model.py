@@ -127,9 +127,9 @@ class ChainModel(PlantModel):
     def calc_force(self, q: np.ndarray, force: np.ndarray) -> np.ndarray:
         """The least tau (..., nv) with S' tau = w, of w (..., n)."""
         free, following = self.free, self.following
-        # tau_d of the velocities that follow: (1 / W_d + D W_f D') tau_d = D W_f w, S = [1; D]
+        # tau_d of the velocities that follow: (1 / W_d + D D' / W_f) tau_d = D w / W_f, S = [1; D]
         across = self.calc_map(q)[1][..., following, :]
-        weighted = across * self.share[free]
+        weighted = across / self.share[free]
         inner = weighted @ across.mT + self._softness
         driven = times(weighted, force)
         if driven.ndim == 1 and is_known(driven):

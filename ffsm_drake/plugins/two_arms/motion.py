@@ -6,24 +6,25 @@ posture to that in the target posture, with the motion's own path parameter; the
 without the chain. The joints are splines in the path parameter, through the solutions of the
 inverse kinematics at nodes; each begins at the one before it and changes the joints least.
 
-A late hand (``contacts.NAME.closes``) comes to its place by a polynomial of fifth order in its
-arm's joints, with the position, velocity and acceleration of the chain's motion there.
+A late hand (``contacts.NAME.closes``) comes to its place as in ``following``.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any
-
 import numpy as np
-from scipy.interpolate import BPoly, BSpline, make_interp_spline
+from scipy.interpolate import BSpline
 
-from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.so3 import turned_by
 from ffsm_drake.mission import Mission, planned
-from ffsm_drake.plugins.two_arms.chain import ClosedChain, Loop, newton_step
-from ffsm_drake.plugins.two_arms.flow import WRENCHES
-from ffsm_drake.plugins.two_arms.internal import InternalControl, planned_control
-from ffsm_drake.scenario import Grip, Scenario
-from ffsm_drake.scenario.contacts import ALL_HANDS, closing_contacts, closing_times
+from ffsm_drake.plugins.two_arms.chain import ClosedChain, newton_step
+from ffsm_drake.plugins.two_arms.following import (
+    Arm,
+    Closing,
+    Loads,
+    Reach,
+    fitted,
+    with_arms,
+)
+from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario.contacts import ALL_HANDS, closing_times
 from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_POSITIONS,
     NUM_BASE_VELOCITIES,
@@ -31,19 +32,14 @@ from ffsm_drake.spacecraft.coordinates import (
     position_error,
 )
 from ffsm_drake.spacecraft.grasp import plastic_impact
-from ffsm_drake.spacecraft.limits import FORCE
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import configuration, find_body
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.start import velocity_at_start
 
-_NODES, _MOST_NODES = 128, 2048
-_ACCURATE = 1e-10  # m, rad: gap between the nodes
 _REACHED = 1e-11  # m, rad: error of the target's pose at a node
 _STEPS = 60
-_SOON = 1e-9  # s; rounding of times
-SINGULAR = 0.01  # singular value of an arm's Jacobian below which no motion is planned
 
 
 class ChainMotion(PlannedMotion):
@@ -70,13 +66,13 @@ class ChainMotion(PlannedMotion):
         self._joints = BSpline(knots, values, k=5)
         self._rates = self._joints.derivative(), self._joints.derivative(2)
         self._reaching = [
-            _Reach(*each, velocity[each[0]]) for each in reaching if velocity is not None
+            Reach(*each, velocity[each[0]]) for each in reaching if velocity is not None
         ]
         self._motion, self._blend = motion, Blend(scenario.reference, motion.end)
-        self._scenario, self._nominal = scenario, nominal
-        self._stages = dict[float, tuple[ClosedChain, InternalControl]]()
         # begin and end in the phase
         begin, end, closed = 0.0, motion.end, nominal.grip.closed
+        self._scenario = scenario
+        self._loads = Loads(scenario, nominal, closings if closed is None else [closed])
         if closed is not None:
             begin = closed
             end = min([each for each in closings if each > closed], default=max(end, closed))
@@ -97,11 +93,7 @@ class ChainMotion(PlannedMotion):
         rows[:, nq - n : nq] = self._joints(s)
         rows[:, nq + nv - n : nq + nv] = ds[:, None] * by_s
         rows[:, -n:] = dds[:, None] * by_s + (ds**2)[:, None] * by_ss
-        for each in self._reaching:
-            columns = np.add.outer((nq - nv, nq, nq + nv), each.joints)
-            for column, values in zip(columns, each.at(times), strict=True):
-                rows[:, column] = values
-        return rows
+        return with_arms(self, rows, self._reaching, times)
 
     def instants(self, count: int) -> np.ndarray:
         """See PlannedMotion; as many up to the grasp of each late hand."""
@@ -112,63 +104,7 @@ class ChainMotion(PlannedMotion):
 
     def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """See PlannedMotion: the arms share the force as ``chain.force`` has it."""
-        scenario, (q, v, a) = self._scenario, self.evaluate(times)
-        hands = list(closing_contacts(scenario, ALL_HANDS))
-        wrench, force = np.zeros((times.size, 6 * len(hands))), found[FORCE].copy()
-        closed = self._nominal.grip.closed
-        latest = np.array(closing_times(scenario) if closed is None else [closed])
-        begun = np.searchsorted(latest, times + _SOON, side="right") - 1
-        for k in np.unique(begun[begun >= 0]):
-            if not closing_contacts(scenario, Grip(closed=latest[k])):
-                continue
-            chain, control = self._stage(float(latest[k]))
-            own, of = begun == k, chain.constraints
-            wanted = control.load(of, q[own], v[own], a[own]) + control.preload
-            acting = [of.jacobian(each).T @ one for each, one in zip(q[own], wanted, strict=True)]
-            force[own] += np.array(acting)
-            columns = [6 * hands.index(loop.name) for loop in chain.loops]
-            places = np.add.outer(columns, np.arange(6)).ravel()
-            wrench[np.ix_(own, places)] = [of.wrench(each) for each in wanted]
-        return found | {FORCE: force, WRENCHES: wrench}
-
-    def _stage(self, closed: float) -> tuple[ClosedChain, InternalControl]:
-        """The chain of the hands that have closed up to a time (s), and its internal control."""
-        if closed not in self._stages:
-            chain = ClosedChain(self._nominal, self._scenario, Grip(closed=closed), true=False)
-            self._stages[closed] = chain, planned_control(self._scenario, chain)
-        return self._stages[closed]
-
-
-class _Reach:
-    """Motion of the arm of a late hand."""
-
-    def __init__(
-        self,
-        joints: np.ndarray,
-        first: np.ndarray,
-        knots: np.ndarray,
-        values: np.ndarray,
-        velocity: np.ndarray,
-    ) -> None:
-        """Args: indices in v; positions at the start; a spline from the grasp on; velocities at the
-        start.
-        """
-        self.joints, spline = joints, BSpline(knots, values, k=5)
-        self._closed = spline, spline.derivative(), spline.derivative(2)
-        self._closes, self._end = knots[0], knots[-1]
-        ends = [first, velocity, 0.0 * first], [each(knots[0]) for each in self._closed]
-        open_ = BPoly.from_derivatives([0.0, self._closes], ends)
-        self._open = open_, open_.derivative(), open_.derivative(2)
-
-    def at(self, times: np.ndarray) -> list[np.ndarray]:
-        """Positions, velocities and accelerations (n, joints each) at times (n)."""
-        is_open, over = (times < self._closes)[:, None], (times > self._end)[:, None]
-        before, after = np.clip(times, 0.0, self._closes), np.clip(times, self._closes, self._end)
-        found = []
-        for order, (open_, closed) in enumerate(zip(self._open, self._closed, strict=True)):
-            values = np.where(is_open, open_(before), closed(after))
-            found.append(np.where(over, 0.0, values) if order else values)
-        return found
+        return self._loads.shared(self.evaluate(times), times, found)
 
 
 @planned
@@ -180,26 +116,13 @@ def _path(
     time (s), to ``end``; then of the arm of each late hand, from its grasp on.
     """
     follower = _Follower(mission, velocity, end)
-
-    def spline(
-        begin: float, end: float, solve: Callable[..., Any], error: Callable[..., Any]
-    ) -> BSpline:
-        nodes = _NODES
-        while True:
-            s = np.linspace(begin, end, nodes + 1)
-            found = make_interp_spline(s, solve(s), k=5)
-            between = 0.5 * (s[1:] + s[:-1])
-            if nodes >= _MOST_NODES or error(between, found(between)) < _ACCURATE:
-                return found
-            nodes *= 2
-
-    whole = spline(0.0, end, follower.solve, follower.error)
+    whole = fitted(0.0, end, follower.solve, follower.error)
     every = np.arange(whole.c.shape[1]) + NUM_BASE_VELOCITIES
     found = [(every, whole.c[0], whole.t, whole.c)]
     for loop in follower.later:
         begin = loop.contact.closes
-        arm = _Arm(follower, loop, lambda s: whole(np.minimum(s, end)))
-        own = spline(begin, max(end, begin + 1.0), arm.solve, arm.error)
+        arm = Arm(follower.closing, loop, lambda s: whole(np.minimum(s, end)))
+        own = fitted(begin, max(end, begin + 1.0), arm.solve, arm.error)
         found.append((loop.joints, arm.first, own.t, own.c))
     return found
 
@@ -210,16 +133,16 @@ class _Follower:
     def __init__(self, mission: Mission, velocity: np.ndarray | None, end: float) -> None:
         scenario = mission.scenario
         self.model = model = mission.craft.nominal()
-        self.whole_chain = ClosedChain(model, scenario, ALL_HANDS, true=False)
-        self.later = [loop for loop in self.whole_chain.loops if loop.contact.closes]
+        whole = ClosedChain(model, scenario, ALL_HANDS, true=False)
+        self.later = [loop for loop in whole.loops if loop.contact.closes]
         self._chain = ClosedChain(model, scenario, true=False)
         body = find_body(model.plant, scenario.payload.body, key="payload.body")
         self._target = body.body_frame()
         postures = [self._posture(scenario, each) for each in ("initial_posture", "target_posture")]
-        self.guesses = postures  # for the arms of late hands
+        self.closing = Closing(whole, postures, end)
         self._start = self._chain.closed(postures[0])
         self._first = model.calc_frame_pose(self._start, self._target)
-        self._blend, self._end = None, end
+        self._blend = None
         # rotation vectors and ways, by the blend and by the excursion of the velocity at the start
         self._turns, self._ways = np.zeros((2, 2, 3))
         if velocity is not None:
@@ -283,78 +206,8 @@ class _Follower:
             q[arm + 1] += newton_step(self.model.calc_jacobian(q, self._target)[:, arm], off)
             off = self._off(pose, q)
         if not np.abs(off).max() < 1e-9:
-            raise self._refused(s, "the hand that carries the target does not reach")
-        return self.close(s, q, chain.loops)
-
-    def close(self, s: float, q: np.ndarray, loops: Sequence[Loop]) -> np.ndarray:
-        """The configuration with loops closed, at a path parameter."""
-        model, chain = self.model, self.whole_chain
-        try:
-            q = chain.closed(q, loops)
-        except ScenarioError as error:
-            raise self._refused(s, str(error).partition(": ")[2].partition(";")[0]) from None
-        for loop in loops:
-            jacobian = loop.closure.jacobian(model, q)
-            for joints in (chain.carrying, loop.joints):
-                least = np.linalg.svd(jacobian[:, joints], compute_uv=False)[len(jacobian) - 1]
-                if least < SINGULAR:
-                    names = model.coordinates.names
-                    raise self._refused(
-                        s,
-                        f"the arm of {names[joints[0]]} to {names[joints[-1]]} is singular "
-                        f"(smallest singular value {least:.2g}, at least {SINGULAR:g})",
-                    )
-        return q
-
-    def _refused(self, s: float, problem: str) -> ScenarioError:
-        return ScenarioError(
-            "contacts",
-            f"no motion of the closed chain: at {100 * s / self._end:.3g} % of the path {problem}; "
-            "change initial_posture or target_posture",
-        )
-
-
-class _Arm:
-    """The arm of a late hand, beside the joints (m, n) of the rest at times (m)."""
-
-    def __init__(self, follower: _Follower, loop: Loop, rest: Callable[..., Any]) -> None:
-        self._follower, self._loop, self._rest = follower, loop, rest
-        self._places = loop.joints + 1
-        self.first = follower.guesses[0][self._places]
-
-    def solve(self, s: np.ndarray) -> np.ndarray:
-        """Its joints (m, k) with the loop closed, near those of the initial posture where it
-        closes, or of the target posture.
-        """
-        starts, failed = list[np.ndarray](), list[ScenarioError]()
-        for guess in self._follower.guesses:
-            try:
-                starts.append(self._closed(s[0], guess[self._places]))
-            except ScenarioError as error:
-                failed.append(error)
-        if not starts:
-            raise failed[0]
-        found = [min(starts, key=lambda each: np.abs(each - self.first).max())]
-        for each in s[1:]:
-            found.append(self._closed(each, found[-1]))
-        return np.array(found)
-
-    def _closed(self, s: float, joints: np.ndarray) -> np.ndarray:
-        q = self._follower.close(s, self._whole(s, joints), [self._loop])
-        return q[self._places]
-
-    def _whole(self, s: float, joints: np.ndarray) -> np.ndarray:
-        q = np.concatenate([[1.0], np.zeros(6), self._rest(s)])
-        q[self._places] = joints
-        return q
-
-    def error(self, s: np.ndarray, joints: np.ndarray) -> float:
-        """The largest gap (m, rad) for its joints (m, k)."""
-        worst = 0.0
-        for each, own in zip(s, joints, strict=True):
-            gap = self._loop.closure.gap(self._follower.model, self._whole(each, own))
-            worst = max(worst, np.abs(gap).max())
-        return worst
+            raise self.closing.refused(s, "the hand that carries the target does not reach")
+        return self.closing.close(s, q, chain.loops)
 
 
 def closed_chain(

@@ -6,6 +6,7 @@ PLUGIN = Plugin(
     brings={
         "sections": {"forces.contacts": "two_arms.contact:Contacts"},
         "closed_chains": {"two_arms": "two_arms.arms:ARMS"},
+        "supervised_chains": {"contacts": "two_arms.supervised:SupervisedChain"},
         "followers": {"contacts": "two_arms.motion:ChainMotion"},
         "mission_phases": {"later_hands": "two_arms.hand:phases_of_later_hands"},
     },

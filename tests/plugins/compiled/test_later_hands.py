@@ -41,7 +41,7 @@ def drawn(kind, seed, lanes=LANES, also=()):
     time of its own.
     """
     random = np.random.default_rng(seed)
-    is_late, approaches = kind != "both", kind in ("both", "approach", "flight")
+    is_late, approaches = kind not in ("both", "supervised"), kind in ("both", "approach", "flight")
     given = [
         "reference.duration=2",
         f"controller={random.choice(['tdc', 'asmc', 'tde_aismc', 'computed_torque'])}",
@@ -56,6 +56,13 @@ def drawn(kind, seed, lanes=LANES, also=()):
         given += [*FLIGHT, *ACTUATORS]
     if kind == "faulty":
         given.append("faults.events={one: {time: [0.1, 0.6], duration: 0.1}}")
+    if kind in ("supervised", "supervised late"):  # with a plan beyond the limits of the base
+        base, preload = random.uniform(0.05, 1.0), random.choice([0.0, 2.0])
+        given += [
+            f"actuation.limit={{joints: 40, base_position: {4 * base}, base_rotation: {base}}}",
+            "supervisor={saturated_time: 0.05, end_share: 0.9, end_time: 0.1, plan_share: 1}",
+            f"chain.force.preload=[0, 0, 0, 0, 0, {preload}]",
+        ]
     if kind == "missed":
         given.append("sensing.position_bias={right_1: 0.1}")
         width = "{position: 0.5, angle: 0.2, velocity: null}"
@@ -80,7 +87,10 @@ def test_a_second_hand_has_the_run_of_drake():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["late", "both", "approach", "missed", "flight", "faulty"])
+@pytest.mark.parametrize(
+    "kind",
+    ["late", "both", "approach", "missed", "flight", "faulty", "supervised", "supervised late"],
+)
 @pytest.mark.parametrize("seed", range(DRAWS))
 def test_drawn_hands_have_the_runs_of_drake(kind, seed):
     found = check(drawn(kind, seed), called=None)

@@ -1,0 +1,256 @@
+"""Arms that close loops beside a given motion of the base and of the arm that carries the target.
+
+Their joints are splines in time, through the solutions of the inverse kinematics at nodes. A hand
+that is open at the start comes to its place by a polynomial of fifth order in its arm's joints,
+with the position, velocity and acceleration of the closed chain there.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import BPoly, BSpline, make_interp_spline
+
+from ffsm_drake.common.errors import ScenarioError
+from ffsm_drake.mission import Mission
+from ffsm_drake.plugins.two_arms.chain import ClosedChain, Loop
+from ffsm_drake.plugins.two_arms.flow import WRENCHES
+from ffsm_drake.plugins.two_arms.internal import InternalControl, planned_control
+from ffsm_drake.scenario import Grip, Scenario
+from ffsm_drake.scenario.contacts import ALL_HANDS, closing_contacts, closing_times
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
+from ffsm_drake.spacecraft.limits import FORCE
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.systems.planned_motion import PlannedMotion
+
+_NODES, _MOST_NODES = 128, 2048
+_ACCURATE = 1e-10  # m, rad: gap between the nodes
+_SOON = 1e-9  # s; rounding of times
+_LEAST = 1.0  # s, of the spline of a hand that closes when the motion has ended
+SINGULAR = 0.01  # singular value of an arm's Jacobian below which no motion is planned
+
+
+class Following(PlannedMotion):
+    """A motion of base and carrying arm, whose closing arms follow."""
+
+    def __init__(
+        self, motion: PlannedMotion, mission: Mission, nominal: PlantModel, *, since: float
+    ) -> None:
+        """Args:
+          motion: the motion, with first guesses of the joints of the closing arms at its start.
+          mission: the mission.
+          nominal: the plant with the nominal payload.
+          since: begin of the motion after the grasp of the first hand, s; hands that close later
+            are open until then.
+
+        Raises ScenarioError: a hand does not reach its place, or an arm is singular.
+        """
+        self._motion, scenario = motion, mission.scenario
+        period, self._since = scenario.sample_time, since
+        super().__init__(coordinates=motion.coordinates, sample_time=period, end=motion.end)
+        nq, nv = self.coordinates.num_positions, self.coordinates.num_velocities
+        row = motion.rows(np.zeros(1))[0]
+        chain = ClosedChain(nominal, scenario, ALL_HANDS, true=False)
+        close, self._arms = Closing(chain, [row[:nq]], motion.end), list[Reach]()
+        self._loads = Loads(scenario, nominal, closing_times(scenario))
+
+        def rest(time: float) -> np.ndarray:
+            joints: np.ndarray = motion.rows(np.array([time]))[0, NUM_BASE_POSITIONS:nq]
+            return joints
+
+        for loop in chain.loops:
+            begin = max(loop.contact.closes - since, 0.0)
+            arm = Arm(close, loop, rest)
+            own = fitted(begin, max(motion.end, begin + _LEAST), arm.solve, arm.error)
+            velocity = row[nq : nq + nv][loop.joints]
+            self._arms.append(Reach(loop.joints, arm.first, own.t, own.c, velocity))
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
+        return with_arms(self, self._motion.rows(times), self._arms, times)
+
+    def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """See PlannedMotion."""
+        return self._loads.shared(self.evaluate(times), times + self._since, found)
+
+
+class Loads:
+    """What the hands of a chain carry along a motion, as ``chain.force`` has it."""
+
+    def __init__(self, scenario: Scenario, nominal: PlantModel, latest: Sequence[float]) -> None:
+        """Args: the scenario; the plant with the nominal payload; times after the grasp at which
+        hands close, s.
+        """
+        self._scenario, self._nominal = scenario, nominal
+        self._latest = np.array(latest)
+        self._stages = dict[float, tuple[ClosedChain, InternalControl]]()
+
+    def shared(
+        self, motion: tuple[np.ndarray, ...], times: np.ndarray, found: dict[str, np.ndarray]
+    ) -> dict[str, np.ndarray]:
+        """See PlannedMotion; of q_d, v_d and dv_d/dt (n, ...) at times after the grasp (n,), s."""
+        hands, (q, v, a) = list(closing_contacts(self._scenario, ALL_HANDS)), motion
+        wrench, force = np.zeros((times.size, 6 * len(hands))), found[FORCE].copy()
+        begun = np.searchsorted(self._latest, times + _SOON, side="right") - 1
+        for k in np.unique(begun[begun >= 0]):
+            if not closing_contacts(self._scenario, Grip(closed=self._latest[k])):
+                continue
+            chain, control = self._stage(float(self._latest[k]))
+            own, of = begun == k, chain.constraints
+            wanted = control.load(of, q[own], v[own], a[own]) + control.preload
+            acting = [of.jacobian(each).T @ one for each, one in zip(q[own], wanted, strict=True)]
+            force[own] += np.array(acting)
+            columns = [6 * hands.index(loop.name) for loop in chain.loops]
+            places = np.add.outer(columns, np.arange(6)).ravel()
+            wrench[np.ix_(own, places)] = [of.wrench(each) for each in wanted]
+        return found | {FORCE: force, WRENCHES: wrench}
+
+    def _stage(self, closed: float) -> tuple[ClosedChain, InternalControl]:
+        """The chain of the hands that have closed up to a time (s), and its internal control."""
+        if closed not in self._stages:
+            chain = ClosedChain(self._nominal, self._scenario, Grip(closed=closed), true=False)
+            self._stages[closed] = chain, planned_control(self._scenario, chain)
+        return self._stages[closed]
+
+
+def with_arms(
+    motion: PlannedMotion, rows: np.ndarray, arms: Sequence["Reach"], times: np.ndarray
+) -> np.ndarray:
+    """Rows of a motion at times (n,) with the joints of arms that follow."""
+    nq, nv = motion.coordinates.num_positions, motion.coordinates.num_velocities
+    for each in arms:
+        columns = np.add.outer((nq - nv, nq, nq + nv), each.joints)
+        for column, values in zip(columns, each.at(times), strict=True):
+            rows[:, column] = values
+    return rows
+
+
+class Reach:
+    """Motion of the arm of a hand that closes a loop."""
+
+    def __init__(
+        self,
+        joints: np.ndarray,
+        first: np.ndarray,
+        knots: np.ndarray,
+        values: np.ndarray,
+        velocity: np.ndarray,
+    ) -> None:
+        """Args: indices in v; positions at the start; a spline from the grasp on; velocities at the
+        start.
+        """
+        self.joints, spline = joints, BSpline(knots, values, k=5)
+        self._closed = spline, spline.derivative(), spline.derivative(2)
+        self._closes, self._end = knots[0], knots[-1]
+        self._open: tuple[BSpline | BPoly, ...] = self._closed
+        if self._closes > 0.0:
+            ends = [first, velocity, 0.0 * first], [each(knots[0]) for each in self._closed]
+            open_ = BPoly.from_derivatives([0.0, self._closes], ends)
+            self._open = open_, open_.derivative(), open_.derivative(2)
+
+    def at(self, times: np.ndarray) -> list[np.ndarray]:
+        """Positions, velocities and accelerations (n, joints each) at times (n)."""
+        is_open, over = (times < self._closes)[:, None], (times > self._end)[:, None]
+        before, after = np.clip(times, 0.0, self._closes), np.clip(times, self._closes, self._end)
+        found = []
+        for order, (open_, closed) in enumerate(zip(self._open, self._closed, strict=True)):
+            values = np.where(is_open, open_(before), closed(after))
+            found.append(np.where(over, 0.0, values) if order else values)
+        return found
+
+
+class Closing:
+    """The loops of a nominal chain, closed one after the other along a path."""
+
+    def __init__(self, chain: ClosedChain, guesses: Sequence[np.ndarray], end: float) -> None:
+        """Args: the chain; configurations (nq) near which hands close; the path parameter at the
+        end.
+        """
+        self.chain, self.guesses, self._end = chain, guesses, end
+
+    def close(self, s: float, q: np.ndarray, loops: Sequence[Loop]) -> np.ndarray:
+        """The configuration with loops closed, at a path parameter."""
+        chain = self.chain
+        try:
+            q = chain.closed(q, loops)
+        except ScenarioError as error:
+            raise self.refused(s, str(error).partition(": ")[2].partition(";")[0]) from None
+        for loop in loops:
+            jacobian = loop.closure.jacobian(chain.model, q)
+            for joints in (chain.carrying, loop.joints):
+                least = np.linalg.svd(jacobian[:, joints], compute_uv=False)[len(jacobian) - 1]
+                if least < SINGULAR:
+                    names = chain.model.coordinates.names
+                    raise self.refused(
+                        s,
+                        f"the arm of {names[joints[0]]} to {names[joints[-1]]} is singular "
+                        f"(smallest singular value {least:.2g}, at least {SINGULAR:g})",
+                    )
+        return q
+
+    def refused(self, s: float, problem: str) -> ScenarioError:
+        """The error of a path that cannot be followed."""
+        return ScenarioError(
+            "contacts",
+            f"no motion of the closed chain: at {100 * s / self._end:.3g} % of the path {problem}; "
+            "change initial_posture or target_posture",
+        )
+
+
+class Arm:
+    """An arm that closes a loop, beside the joints (m, n) of the rest at times (m)."""
+
+    def __init__(self, closing: Closing, loop: Loop, rest: Callable[..., Any]) -> None:
+        self._closing, self._loop, self._rest = closing, loop, rest
+        self._places = loop.joints + 1
+        self.first = closing.guesses[0][self._places]
+
+    def solve(self, s: np.ndarray) -> np.ndarray:
+        """Its joints (m, k) with the loop closed, near those of the first guess where it closes,
+        or of a later one.
+        """
+        starts, failed = list[np.ndarray](), list[ScenarioError]()
+        for guess in self._closing.guesses:
+            try:
+                starts.append(self._closed(s[0], guess[self._places]))
+            except ScenarioError as error:
+                failed.append(error)
+        if not starts:
+            raise failed[0]
+        found = [min(starts, key=lambda each: np.abs(each - self.first).max())]
+        for each in s[1:]:
+            found.append(self._closed(each, found[-1]))
+        return np.array(found)
+
+    def _closed(self, s: float, joints: np.ndarray) -> np.ndarray:
+        q = self._closing.close(s, self._whole(s, joints), [self._loop])
+        return q[self._places]
+
+    def _whole(self, s: float, joints: np.ndarray) -> np.ndarray:
+        q = np.concatenate([[1.0], np.zeros(6), self._rest(s)])
+        q[self._places] = joints
+        return q
+
+    def error(self, s: np.ndarray, joints: np.ndarray) -> float:
+        """The largest gap (m, rad) for its joints (m, k)."""
+        worst = 0.0
+        for each, own in zip(s, joints, strict=True):
+            gap = self._loop.closure.gap(self._closing.chain.model, self._whole(each, own))
+            worst = max(worst, np.abs(gap).max())
+        return worst
+
+
+def fitted(
+    begin: float, end: float, solve: Callable[..., Any], error: Callable[..., Any]
+) -> BSpline:
+    """The spline of fifth order through solutions at path parameters, with as many nodes as its
+    error between them asks for.
+    """
+    nodes = _NODES
+    while True:
+        s = np.linspace(begin, end, nodes + 1)
+        found = make_interp_spline(s, solve(s), k=5)
+        between = 0.5 * (s[1:] + s[:-1])
+        if nodes >= _MOST_NODES or error(between, found(between)) < _ACCURATE:
+            return found
+        nodes *= 2

@@ -1,0 +1,192 @@
+"""A supervisor with two hands on the target: what it keeps of the internal force, and its plans."""
+
+import os
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from ffsm_drake import ScenarioError, load_scenario, simulate
+from ffsm_drake.mission import Mission
+from ffsm_drake.plugins.capture.modes import Mode
+from ffsm_drake.plugins.capture.supervisor import SupervisorPart
+from ffsm_drake.plugins.two_arms.chain import ClosedChain
+from ffsm_drake.plugins.two_arms.chain_model import minimal_model
+from ffsm_drake.plugins.two_arms.supervised import SupervisedChain
+from ffsm_drake.scenario.contacts import ALL_HANDS
+from ffsm_drake.spacecraft.coordinates import position_error
+from ffsm_drake.spacecraft.plant import configuration
+from ffsm_drake.systems.setup import BlockSetup
+
+DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
+LIMITS = "actuation.limit={joints: 40, base_position: 20, base_rotation: 20}"
+LATE = {
+    "contacts": {"right": {"closes": 3}},
+    "initial_posture": {"joints": {"right_1": 1.2, "right_2": 1.2, "right_5": -1.4}},
+}
+# 1 mrad and 1 mm
+CALIBRATION = {
+    "contacts": {"right": {"position_error": [6e-4, -6e-4, 5e-4],
+                           "rotation_error": [-6e-4, 5e-4, 6e-4]}},
+    "sensing": {"position_bias": {"right_1": 1e-3, "right_3": -1e-3}},
+}  # fmt: skip
+
+
+def setup_of(*overrides, name="two_arms"):
+    mission = Mission(load_scenario(name, [LIMITS, "supervisor={}", *overrides]))
+    nominal = mission.craft.nominal()
+    return BlockSetup(name="", mission=mission, nominal=nominal, settings={})
+
+
+def posture(setup, key="initial_posture"):
+    return configuration(setup.coordinates, getattr(setup.scenario, key), key=key)
+
+
+def limits(random):
+    """Limits of the joints of both arms, drawn over a decade."""
+    names = [f"{side}_{k}" for side in ("left", "right") for k in range(1, 7)]
+    drawn = {name: float(10.0 ** random.uniform(0.3, 1.6)) for name in names}
+    return {"actuation": {"limit": {"base_position": 20, "base_rotation": 20} | drawn}}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_force_of_the_law_is_the_least(seed):
+    """Sum of (tau / limit)^2, among the forces with the same effect on the chain."""
+    random = np.random.default_rng(seed)
+    setup = setup_of(limits(random))
+    chain = ClosedChain(setup.nominal, setup.scenario, true=False)
+    model = minimal_model(setup.mission, chain)
+    q = chain.closed(posture(setup))
+    constraints, whole, _ = model.calc_map(q)
+    w = random.normal(size=whole.shape[1])
+    force = model.calc_force(q, w)
+    assert_allclose(whole.T @ force, w, atol=1e-9)
+    other = force + random.normal(size=len(constraints)) @ constraints
+    assert_allclose(whole.T @ other, w, atol=1e-9)
+    assert (force**2 / model.share).sum() < (other**2 / model.share).sum()
+    assert_allclose(constraints @ (force / model.share), 0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_the_supervisor_keeps(seed):
+    """It finds the internal force in that of the law, and the wrench that a force brings about."""
+    random = np.random.default_rng(seed)
+    setup = setup_of(limits(random))
+    kept = SupervisedChain(setup).kept()
+    chain = ClosedChain(setup.nominal, setup.scenario, true=False)
+    model = minimal_model(setup.mission, chain)
+    q = chain.closed(posture(setup))
+    H, A = setup.nominal.calc_mass_matrix(q), chain.jacobian(q)
+    internal, before = random.normal(size=(2, 6))
+    law = model.calc_force(q, random.normal(size=A.shape[1] - 6)) + internal @ A
+    acted = random.normal(size=A.shape[1])
+    yes, no = np.array([True]), np.array([False])
+    after, force = kept.step(q, H, (acted, law), before, no, yes)
+    assert_allclose(after, before + internal, atol=1e-9)
+    assert_allclose(force, after @ A, atol=1e-9)
+    after, _ = kept.step(q, H, (acted, law), before, yes, no)
+    # at rest: H a = tau + A' lambda, A a = 0; the target feels -lambda
+    size = len(A)
+    whole = np.block([[H, -A.T], [A, np.zeros((size, size))]])
+    _, multipliers = np.split(np.linalg.solve(whole, np.append(acted, np.zeros(size))), [-size])
+    assert_allclose(after, before - multipliers, atol=1e-9)
+    assert_allclose(kept.step(q, H, (acted, law), before, no, no)[0], before, atol=0.0)
+    # damping adds none
+    S = model.calc_map(q)[1]
+    after, _ = kept.step(q, H, (-H @ S @ random.normal(size=S.shape[1]), law), before, yes, no)
+    assert_allclose(after, before, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3 * DRAWS))
+@pytest.mark.parametrize("late", [False, True])
+def test_a_new_plan_closes_the_chain_at_every_sample(seed, late):
+    """From a measured state with noise and calibration errors, to the target posture and rest."""
+    random = np.random.default_rng(seed)
+    setup = setup_of(*([LATE] if late else []))
+    supervisor = SupervisorPart().supervisor(setup)
+    period = setup.sample_time
+    whole = ClosedChain(setup.nominal, setup.scenario, ALL_HANDS, true=False)
+    q = posture(setup)
+    q = q if late else whole.closed(q)
+    q[7:] += random.uniform(-0.02, 0.02, q.size - 7)
+    q[4:7] += random.uniform(-0.1, 0.1, 3)
+    v = random.uniform(-0.02, 0.02, q.size - 1)
+    begin, duration = 1.0, 12.0
+    plan = np.concatenate([[begin, duration, 0.0], q, v])
+    motion = supervisor.motion(plan)
+    times = np.arange(0.0, duration + 2.0, period)
+    rows = motion.rows(times)
+    places, rates, _ = np.split(rows, [q.size, 2 * q.size - 1], axis=1)
+    closes = 3.0 - begin if late else 0.0
+    for time, place, rate in zip(times, places, rates, strict=True):
+        if time >= closes - 1e-9:
+            assert np.abs(whole.gap(place)).max() < 1e-9
+            assert np.abs(whole.jacobian(place) @ rate).max() < 1e-7
+    free = np.setdiff1d(np.arange(q.size - 1), whole.loops[0].joints)
+    assert_allclose(position_error(q, places[0])[free], 0.0, atol=1e-9)
+    assert_allclose(rates[0][free], v[free], atol=1e-9)
+    if late:  # from where the arm is, without a step
+        joints = whole.loops[0].joints
+        assert_allclose(places[0][joints + 1], q[joints + 1], atol=1e-12)
+        assert_allclose(rates[0][joints], v[joints], atol=1e-12)
+    assert not rates[-1].any()
+    goal = posture(setup, "target_posture")
+    assert_allclose(position_error(goal, places[-1])[free], 0.0, atol=1e-9)
+    # rates and accelerations are those of the motion
+    step = 1e-4
+    ahead, back = motion.rows(times[5:-250:40] + step), motion.rows(times[5:-250:40] - step)
+    nq, nv = q.size, v.size
+    for now, after, before in zip(rows[5:-250:40], ahead, back, strict=True):
+        change = position_error(after[:nq], before[:nq]) / (2.0 * step)
+        assert_allclose(change, now[nq : nq + nv], atol=1e-6)
+        change = (after[nq : nq + nv] - before[nq : nq + nv]) / (2.0 * step)
+        assert_allclose(change, now[nq + nv :], atol=1e-5)
+
+
+def test_a_plan_out_of_reach_is_none():
+    setup = setup_of()
+    supervisor = SupervisorPart().supervisor(setup)
+    q = posture(setup)
+    q[7:] = 0.0
+    plan = np.concatenate([[0.0, 10.0, 0.0], q, np.zeros(q.size - 1)])
+    with pytest.raises(ScenarioError, match="no motion of the closed chain"):
+        supervisor.motion(plan)
+    assert supervisor.share(plan, supervisor.block.limit) == np.inf
+
+
+HARD = ("supervisor={saturated_time: 0.05}", "reference.duration=4")
+
+
+def supervised(*overrides):
+    return load_scenario("two_arms", [*HARD, LIMITS, *overrides])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preload", [0.0, 20.0])
+def test_damping_and_a_new_plan_settle_both_arms(preload):
+    """The motion takes more than the limits of the base. With calibration errors, the force between
+    the hands differs by less than 1 N from that without them.
+    """
+    given = ["duration=30", f"chain.force.preload=[0, 0, 0, 0, 0, {preload}]"]
+    limit = "actuation.limit={joints: 40, base_position: 12, base_rotation: 20}"
+    runs = [
+        simulate(supervised(*given, limit, *also), check_stability=False)
+        for also in ([], [CALIBRATION])
+    ]
+    wanted = np.array([0.0, 0.0, preload])
+    forces = [run.dataset["contact_wrench"].values[:, 3:] for run in runs]
+    for run, force in zip(runs, forces, strict=True):
+        modes = run.dataset["mode"].values.ravel()
+        assert run.metrics["supervisor"]["dampings"] == 1
+        assert run.metrics["contacts"]["gap"] < 1e-9
+        damped = np.flatnonzero(modes == Mode.RATE_DAMPING)
+        assert damped.size * run.scenario.sample_time > 0.3
+        late = force[damped[0] + 40 :]
+        assert np.abs(late - wanted).max() < (2.0 if preload else 1.0)
+    # the joints of the right arm take the errors of the calibration
+    exact, off = (run.metrics["final_error"] for run in runs)
+    size = min(map(len, forces))
+    assert runs[0].ending.is_settled
+    assert max(exact.values()) < 1e-5
+    assert max(off.values()) < 5e-3
+    assert np.abs(forces[1][:size] - forces[0][:size]).max() < 1.0
