@@ -163,7 +163,6 @@ def _contact_problems(scenario: Any) -> Problems:
     # Detection compares with a plant without contacts.
     for key, problem in (
         ("capture.closing", scenario.closing is not None),
-        ("capture.joints", scenario.grasps and scenario.capture.joints == "braked"),
         ("reference.frame", scenario.reference.frame is not None),
         ("reference.kind", scenario.reference.kind == "optimal"),
         ("actuation.driven", bool(scenario.undriven)),

@@ -18,6 +18,8 @@ import numpy as np
 
 from ffsm_drake.spacecraft.grasp import Grasp, plastic_impact
 
+_RANK = 1e-9  # of the mobility of the hands beside brakes, of its largest singular value
+
 
 def plastic_grasp(
     *,
@@ -38,8 +40,8 @@ def plastic_grasp(
       velocity: v (nv) of the servicer before.
       target_velocity: V (6), [w_WP; v_WP] of the target before.
       braked: indices of the joints in v that brakes stop; the base, v[:6], has none.
-      constraints: A (m, nv) of further hands that grasp in the same instant, A v+ = 0; none with
-        brakes.
+      constraints: A (m, nv) of further hands that grasp in the same instant, A v+ = 0. Where
+        brakes stop the joints that move them, the brakes have the impulses.
     """
     if any(not 6 <= index < velocity.size for index in braked):
         raise ValueError(
@@ -48,15 +50,13 @@ def plastic_grasp(
     # M_T times the target's relative velocity
     change = target_inertia @ (target_velocity - jacobian @ velocity)
     p = mass_matrix @ velocity + jacobian.T @ change
-    free = np.setdiff1d(np.arange(velocity.size), braked)
-    after, brakes = np.zeros_like(velocity), np.zeros_like(velocity)
-    if free.size == velocity.size:
-        after = velocity + np.linalg.solve(mass_matrix, jacobian.T @ change)
+    brakes = np.zeros_like(velocity)
+    if braked:
+        after, brakes[list(braked)] = _braked(mass_matrix, p, list(braked), constraints)
     else:
-        after[free] = np.linalg.solve(mass_matrix[np.ix_(free, free)], p[free])
-        brakes[list(braked)] = (mass_matrix @ after - p)[list(braked)]
-    if constraints is not None:
-        after, _ = plastic_impact(mass_matrix, constraints, after)
+        after = velocity + np.linalg.solve(mass_matrix, jacobian.T @ change)
+        if constraints is not None:
+            after, _ = plastic_impact(mass_matrix, constraints, after)
     target_momentum = target_inertia @ target_velocity
     held = target_inertia @ (jacobian @ velocity)  # momentum of a target moving with the arm
     return Grasp(
@@ -73,3 +73,19 @@ def plastic_grasp(
         momentum_before=(mass_matrix @ velocity)[:6] + jacobian[:, :6].T @ (target_momentum - held),
         momentum_after=(mass_matrix @ after)[:6],
     )
+
+
+def _braked(
+    mass_matrix: np.ndarray, momentum: np.ndarray, braked: list[int], constraints: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The velocity (nv) with a momentum (nv) and joints at rest, and the impulses of the brakes."""
+    free = np.setdiff1d(np.arange(momentum.size), braked)
+    among, after = mass_matrix[np.ix_(free, free)], np.zeros_like(momentum)
+    after[free] = np.linalg.solve(among, momentum[free])
+    if constraints is not None:  # of the motion that the brakes allow
+        inverse = np.linalg.solve(among, constraints[:, free].T)
+        inner, missing = constraints[:, free] @ inverse, -constraints @ after
+        impulses = np.linalg.lstsq(inner, missing, rcond=_RANK)[0]
+        after[free] += inverse @ impulses
+        momentum = momentum + impulses @ constraints
+    return after, (mass_matrix @ after - momentum)[braked]

@@ -10,6 +10,7 @@ from ffsm_drake import ScenarioError, load_scenario, make_nominal_plant, make_tr
 from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.capture.approach import planned_approach
 from ffsm_drake.plugins.capture.contact import contact_at, planned_contact
+from ffsm_drake.plugins.capture.plastic import plastic_grasp
 from ffsm_drake.plugins.two_arms.motion import closed_chain
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.spacecraft.plant import find_body, find_frame
@@ -197,10 +198,55 @@ def test_the_second_hand_may_miss() -> None:
     [
         ("contacts.right.position_error=[1e-3, 0, 0]", "has no effect on a hand that grasps"),
         ("capture.closing={time: 0.5}", "capture.closing: is not supported with more than one"),
-        ("capture.joints=braked", "capture.joints: is not supported with more than one"),
     ],
 )
 def test_refusals_of_an_approach_are_one_line(override: str, words: str) -> None:
     with pytest.raises(ScenarioError, match=words) as caught:
         simulate(load_scenario("two_arms_capture", [*APPROACH, override]), check_stability=False)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_brakes_and_both_hands_act_in_one_impact(seed: int) -> None:
+    """Any joints with brakes, any loops, against the equations of all impulses at once."""
+    generator = np.random.default_rng(seed)
+    root = generator.normal(size=(14, 14))
+    mass, loops = root @ root.T + np.eye(14), generator.normal(size=(6, 14))
+    loops[:, :6] = 0.0
+    some = sorted(generator.choice(np.arange(6, 14), size=seed + 3, replace=False).tolist())
+    arm, body = generator.normal(size=(6, 14)), generator.normal(size=(6, 6))
+    target = body @ body.T + np.eye(6)
+    mass = mass + arm.T @ target @ arm
+    v, moving = generator.normal(size=14), generator.normal(size=6)
+    grasp = plastic_grasp(
+        mass_matrix=mass, jacobian=arm, target_inertia=target, velocity=v,
+        target_velocity=moving, braked=some, constraints=loops,
+    )  # fmt: skip
+    momentum = mass @ v + arm.T @ target @ (moving - arm @ v)
+    rows = np.vstack([np.eye(14)[some], loops])
+    size = len(rows)
+    whole = np.block([[mass, -rows.T], [rows, np.zeros((size, size))]])
+    expected = np.linalg.lstsq(whole, np.append(momentum, np.zeros(size)), rcond=1e-12)[0][:14]
+    assert_allclose(grasp.velocity, expected, atol=1e-8)
+    assert_allclose(rows @ grasp.velocity, 0.0, atol=1e-8)
+    assert_allclose((mass @ grasp.velocity)[:6], momentum[:6], atol=1e-8)
+    others = np.setdiff1d(np.arange(14), some)
+    assert not grasp.brake_impulse[others].any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("closes", [0, 1.5])
+def test_braked_joints_are_at_rest_after_the_grasp(closes: float) -> None:
+    given = [*APPROACH, "capture.servicer=rest", "capture.joints=braked"]
+    run = simulate(
+        load_scenario("two_arms_capture", [*given, f"contacts.right.closes={closes}"]),
+        check_stability=False,
+    )
+    assert run.ending.is_settled
+    k = round(run.scenario.grasp_time / run.scenario.sample_time)
+    after = run.dataset["velocity"].values[k]
+    assert np.abs(after[6:]).max() < 1e-12
+    assert np.abs(after[:6]).max() > 1e-3
+    momentum = run.grasp["after"]["angular_momentum"]
+    assert_allclose(momentum, run.grasp["before"]["angular_momentum"], atol=1e-12)
+    assert run.metrics["contacts"]["gap"] < 1e-9
