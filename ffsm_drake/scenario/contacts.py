@@ -164,7 +164,6 @@ def _contact_problems(scenario: Any) -> Problems:
     for key, problem in (
         ("capture.closing", scenario.closing is not None),
         ("reference.frame", scenario.reference.frame is not None),
-        ("reference.kind", scenario.reference.kind == "optimal"),
         ("actuation.driven", bool(scenario.undriven)),
         ("faults.detection", getattr(scenario.faults, "detection", None)),
     ):

@@ -10,6 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from pydrake.autodiffutils import ExtractValue, InitializeAutoDiff
 
+from ffsm_drake.plugins.planning.chain_dynamics import ChainDynamics
 from ffsm_drake.plugins.planning.inverse_dynamics import FreeDynamics, InverseDynamics, complex_step
 from ffsm_drake.systems.plan import DEGREE
 
@@ -21,7 +22,7 @@ class Curve:
 
     def __init__(
         self,
-        dynamics: InverseDynamics | FreeDynamics,
+        dynamics: InverseDynamics | FreeDynamics | ChainDynamics,
         size: int,
         segments: int,
         evaluated: Callable[[np.ndarray], None],
@@ -33,6 +34,7 @@ class Curve:
         evaluated: called with the unknowns after they have been evaluated anew.
         """
         self._dynamics, self.size, self._evaluated = dynamics, size, evaluated
+        self.joints = dynamics.joints
         self.count = segments + DEGREE  # control points
         self.num_points = self.count * size  # unknowns before T and d
         self.num_unknowns = self.num_points + 1 + segments

@@ -66,10 +66,32 @@ def complex_step(
     return value, derivative
 
 
+def in_base_axes(
+    first: np.ndarray, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """R_WB (3, 3, n), and the base's velocity and acceleration (6, n) in its own axes, as if they
+    were the world's. Args: R_0 (3, 3); z and its time derivatives, which begin with the base's.
+    """
+    turned, w, alpha = attitude_motion(z[:3], rate[:3], acceleration[:3])
+    R_WB = np.einsum("ijn,jk->ikn", turned, first)
+    base = np.array([[w, rate[3:6]], [alpha, acceleration[3:6]]])
+    v, a = np.einsum("jin,abjn->abin", R_WB, base).reshape(2, NUM_BASE_VELOCITIES, -1)
+    return R_WB, v, a
+
+
+def in_world_axes(R_WB: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """Forces (nv, n) on the base's axes as forces on the world's, in place."""
+    on_base = tau[:NUM_BASE_VELOCITIES].reshape(2, 3, -1)
+    tau[:NUM_BASE_VELOCITIES] = np.einsum("ijn,ajn->ain", R_WB, on_base).reshape(6, -1)
+    return tau
+
+
 class InverseDynamics:
     """Generalized force tau = H dv/dt + C + d v of a motion, d being the joints' damping."""
 
     turns = False  # True if the base's rotation is a coordinate of the motion
+    extra = 0  # rows after the forces whose sizes are at most 1
+    joints: slice | None = None  # rows of all joints; None: the last ones of z
 
     def __init__(self, model: PlantModel, first: RotationMatrix) -> None:
         """Args:
@@ -97,22 +119,18 @@ class InverseDynamics:
     def calc(self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
         """tau (nv, n), world axes, for z and its time derivatives (nv, n). Complex arrays pass."""
         joints = slice(NUM_BASE_VELOCITIES, None)
-        turned, w, alpha = attitude_motion(z[:3], rate[:3], acceleration[:3])
-        R_WB = np.einsum("ijn,jk->ikn", turned, self._first)
-        base = np.array([[w, rate[3:6]], [alpha, acceleration[3:6]]])
-        v, a = np.einsum("jin,abjn->abin", R_WB, base).reshape(2, NUM_BASE_VELOCITIES, -1)
-        # in the base's axes, as if it were the world's
+        R_WB, v, a = in_base_axes(self._first, z, rate, acceleration)
         found = self._program.run(
             {"joints": z[joints], "v": [*v, *rate[joints]], "a": [*a, *acceleration[joints]]}
         )
-        tau = np.array(found) + self._damping * rate
-        on_base = tau[:NUM_BASE_VELOCITIES].reshape(2, 3, -1)
-        tau[:NUM_BASE_VELOCITIES] = np.einsum("ijn,ajn->ain", R_WB, on_base).reshape(6, -1)
-        return tau
+        return in_world_axes(R_WB, np.array(found) + self._damping * rate)
 
 
 class FreeDynamics:
     """Force on driven coordinates z_a: joints, perhaps after the base's rotation vector."""
+
+    extra = 0  # as InverseDynamics
+    joints: slice | None = None
 
     def __init__(self, dynamics: InverseDynamics, coordinates: Coordinates) -> None:
         """Args: of all coordinates; which there are."""

@@ -1,17 +1,20 @@
 """The limits of a plan, and the margins of a motion to them."""
 
 import dataclasses
+from collections.abc import Iterator
 
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.mission import Mission
+from ffsm_drake.scenario.contacts import ALL_HANDS, WRENCH, closing_contacts
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE, tightest
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.mission_limits import limits_of
 
 _ACCURACY = 1e-3  # m; of Drake's distances between cylinders
+_OF_CONTACTS = ("contacts", "wrench")
 _SLACK = 1e-3  # relative; allowed excess over a limit between the solver's instants
 
 
@@ -24,12 +27,14 @@ class MotionLimits:
     lower: np.ndarray  # rad or m
     upper: np.ndarray
     impulse: np.ndarray  # N m s or N s; integral of the force's size
+    contacts: tuple[str, ...]  # names of those that close a loop
+    # (6 for each contact that closes a loop), N m and N; without ``planning.reserve``
+    wrench: np.ndarray
 
     def of(self, indices: np.ndarray) -> "MotionLimits":
         """Limits of a subset of coordinates."""
-        return MotionLimits(
-            **{field.name: getattr(self, field.name)[indices] for field in dataclasses.fields(self)}
-        )
+        fields = {field.name for field in dataclasses.fields(self)} - {*_OF_CONTACTS}
+        return dataclasses.replace(self, **{name: getattr(self, name)[indices] for name in fields})
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -59,7 +64,7 @@ class Margin:
         return self.excess <= (_ACCURACY if self.quantity == "clearance" else slack)
 
     def __str__(self) -> str:
-        reserve = " (reserve included)" if self.quantity == "force" else ""
+        reserve = " (reserve included)" if self.quantity in ("force", "wrench") else ""
         return (
             f"{self.name}: {self.quantity} {self.value:.4g} {self.unit} at t = {self.time:.3g} s, "
             f"{'below' if self.at_least else 'beyond'} {self.limit:.4g}{reserve}"
@@ -88,8 +93,13 @@ def motion_limits(mission: Mission) -> MotionLimits:
 
     limits = limits_of(mission)
     force, rate, position = (tightest(limits, each) for each in (FORCE, RATE, POSITION))
+    usable = 1.0 - planning.reserve
+    contacts = closing_contacts(mission.scenario, ALL_HANDS)
+    most = [part for each in contacts.values() for part in (each.moment_limit, each.force_limit)]
     return MotionLimits(
-        force=np.where(coordinates.is_driven, (1.0 - planning.reserve) * force.upper, np.inf),
+        contacts=tuple(contacts),
+        wrench=np.repeat([np.inf if each is None else usable * each for each in most], 3),
+        force=np.where(coordinates.is_driven, usable * force.upper, np.inf),
         rate=np.minimum(vector(planning.velocity_limit, "planning.velocity_limit"), rate.upper),
         lower=position.lower,
         upper=position.upper,
@@ -145,3 +155,15 @@ def margins(
                 )
             )  # fmt: skip
     return found
+
+
+def wrench_margins(limits: MotionLimits, times: np.ndarray, wrench: np.ndarray) -> Iterator[Margin]:
+    """Margins of the wrenches (n, 6 for each contact) at times (n,), s, to each finite limit."""
+    names = [f"contacts.{name} {axis}" for name in limits.contacts for axis in WRENCH]
+    for name, limit, values in zip(names, limits.wrench.tolist(), wrench.T, strict=True):
+        if np.isfinite(limit):
+            k = int(np.argmax(np.abs(values)))
+            yield Margin(
+                quantity="wrench", name=name, value=float(values[k]), limit=limit,
+                time=float(times[k]), unit="N" if "force" in name else "N m",
+            )  # fmt: skip

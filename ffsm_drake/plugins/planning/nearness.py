@@ -18,6 +18,7 @@ class Nearness:
         """Args: the parts; the curve; the distance to keep, m."""
         self._clearance, self._curve, self.kept = clearance, curve, kept
         self._joints = slice(NUM_BASE_POSITIONS - clearance.plant.num_positions(), None)
+        self._rows = curve.joints or self._joints
         self._q = np.zeros(clearance.plant.num_positions())
         self._q[0] = 1.0  # it depends on the joints alone
 
@@ -25,13 +26,13 @@ class Nearness:
         """The values (instants), with their gradient if x has derivatives."""
         joints = self._joints
         values, by = self._curve.evaluate(x)
-        found, slope = np.empty(len(values)), np.zeros_like(values[:, joints])
-        for k, row in enumerate(values[:, joints]):
+        found, slope = np.empty(len(values)), np.zeros_like(values[:, self._rows])
+        for k, row in enumerate(values[:, self._rows]):
             self._q[joints] = row
             distance, rate = _distances(self._clearance, self._q, self.kept + _INFLUENCE)
             found[k], weight = _nearness(distance, self.kept)
             slope[k] = weight @ rate[:, joints]
-        return self._curve.lifted(x, found, np.einsum("kj,kjx->kx", slope, by[:, joints]))
+        return self._curve.lifted(x, found, np.einsum("kj,kjx->kx", slope, by[:, self._rows]))
 
 
 def _distances(clearance: Clearance, q: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:

@@ -15,12 +15,20 @@ from ffsm_drake.common.numbers import short
 from ffsm_drake.common.so3 import rotation_error
 from ffsm_drake.common.steps import step
 from ffsm_drake.mission import Mission
+from ffsm_drake.plugins.planning.chain_dynamics import ChainDynamics
 from ffsm_drake.plugins.planning.curve import INSTANTS
 from ffsm_drake.plugins.planning.inverse_dynamics import FreeDynamics, InverseDynamics
-from ffsm_drake.plugins.planning.motion_limits import Margin, MotionLimits, margins, motion_limits
+from ffsm_drake.plugins.planning.motion_limits import (
+    Margin,
+    MotionLimits,
+    margins,
+    motion_limits,
+    wrench_margins,
+)
 from ffsm_drake.plugins.planning.program import PlanningProgram
 from ffsm_drake.plugins.task_space.free_motion import FreeMotion
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.scenario.contacts import ALL_HANDS, closing_contacts
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_POSITIONS,
@@ -110,21 +118,28 @@ class _Planner:
         self._begun, self._evaluations = time.perf_counter(), 0
         self._time_limit = time_limit
         self._scenario, self._progress = scenario, progress
-        if len(scenario.contacts) > 1:
-            raise ScenarioError(
-                "contacts", "a plan is for one hand on the target; give one contact"
-            )
-        mission = Mission(scenario)
+        for name, contact in scenario.contacts.items():
+            if contact.closes:
+                problem = "a plan is for hands that hold the target from its start; set 0"
+                raise ScenarioError(f"contacts.{name}.closes", problem)
+        self._mission = mission = Mission(scenario)
         model = self._model = mission.craft.nominal()
         self._limits = motion_limits(mission)
-        self._clearance = Clearance(scenario.model)
+        hands = closing_contacts(scenario, ALL_HANDS).values()
+        self._clearance = Clearance(scenario.model, hands=[each.effector for each in hands])
         self._start = configuration(
             model.coordinates, scenario.initial_posture, key="initial_posture"
         )
         target = configuration(model.coordinates, scenario.target_posture, key="target_posture")
         self._target = None if scenario.reference.goal == "stop" else target
         self._rate = velocity_at_start(mission, model)
-        self._dynamics = InverseDynamics(model, RotationMatrix(Quaternion(self._start[:4])))
+        first = RotationMatrix(Quaternion(self._start[:4]))
+        self._planned = order = model.coordinates.driven  # indices of the z that is planned
+        self._dynamics: InverseDynamics | ChainDynamics = InverseDynamics(model, first)
+        if len(scenario.contacts) > 1:
+            self._dynamics = chain = ChainDynamics(mission, model, first, self._limits)
+            self._start, self._planned, order = chain.chain.start, chain.chain.free, chain.order
+        self._own_limits = self._limits.of(order)
         if scenario.reference.frame is not None:
             raise ScenarioError(
                 "reference.frame", "has no effect on a plan, which ends at a posture; remove it"
@@ -182,7 +197,9 @@ class _Planner:
         does.
         """
         undriven = bool(self._scenario.undriven)
-        dynamics = FreeDynamics(self._dynamics, self._model.coordinates) if undriven else None
+        dynamics = None
+        if undriven and isinstance(self._dynamics, InverseDynamics):
+            dynamics = FreeDynamics(self._dynamics, self._model.coordinates)
         # An impulse limit leaves no room for a detour; without, that comes first.
         straight = self._scenario.planning.impulse_limit or undriven
         failures = []
@@ -201,8 +218,8 @@ class _Planner:
     def _is_over(self) -> bool:
         return time.perf_counter() - self._begun > self._time_limit
 
-    def _problem(self, dynamics: InverseDynamics | FreeDynamics) -> PlanningProgram:
-        scenario, driven = self._scenario, self._model.coordinates.driven
+    def _problem(self, dynamics: InverseDynamics | FreeDynamics | ChainDynamics) -> PlanningProgram:
+        scenario = self._scenario
 
         def report(evaluations: int, duration: float, worst: float) -> None:
             self._progress(
@@ -212,19 +229,19 @@ class _Planner:
 
         start, goal = self._driven_ends()
         return PlanningProgram(
-            dynamics=dynamics, planning=scenario.planning, limits=self._limits.of(driven),
-            start=start, rate=self._rate[driven], goal=goal, shortest=scenario.sample_time,
+            dynamics=dynamics, planning=scenario.planning, limits=self._own_limits,
+            start=start, rate=self._rate[self._planned], goal=goal, shortest=scenario.sample_time,
             longest=self._longest, clearance=self._clearance if scenario.clearance > 0.0 else None,
             distance=scenario.clearance, report=report, is_over=lambda: self._is_over,
         )  # fmt: skip
 
     def _driven_ends(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """z at the start and at the goal, if there is one, of what is driven."""
-        driven, goal = self._model.coordinates.driven, self._target
-        start = np.r_[np.zeros(3), self._start[4:]][driven]
+        """z at the start and at the goal, if there is one, of what is planned."""
+        planned, goal = self._planned, self._target
+        start = np.r_[np.zeros(3), self._start[4:]][planned]
         if goal is None:
             return start, None
-        return start, np.r_[rotation_error(goal[:4], self._start[:4]), goal[4:]][driven]
+        return start, np.r_[rotation_error(goal[:4], self._start[:4]), goal[4:]][planned]
 
     def _first_guess(self, problem: PlanningProgram, angle: float) -> np.ndarray:
         """Return the fifth-order polynomial from the start, at its rate, to rest, in the shortest
@@ -232,23 +249,39 @@ class _Planner:
 
         Without a detour a solver never leaves the plane of its first guess.
         """
-        start, goal = self._driven_ends()
-        best, least = np.empty(0), np.inf
+        start, _ = self._driven_ends()
+        best, least, taken, refused = np.empty(0), np.inf, 0.0, ""
         for duration in np.unique(np.clip(_DURATIONS * self._longest, *problem.durations)):
-            first = self._rate[self._model.coordinates.driven] * duration
-            last = start + 0.5 * first if goal is None else goal
-            ends = [start, first, 0.0 * first], [last, 0.0 * first, 0.0 * first]
-            guess = problem.curve.guess(BPoly.from_derivatives([0.0, 1.0], ends), duration)
+            try:
+                guess = problem.curve.guess(self._from_end_to_end(duration), duration)
+            except ScenarioError as error:  # of a closed chain
+                refused = str(error)
+                continue
             worst = problem.worst(guess)
             if worst < least:
                 best, least, taken = guess, worst, duration
             if worst <= 1.0:
                 break
+        if not best.size:
+            raise PlanningError(f"no plan: no motion to begin with; {refused}")
         self._progress(f"first guess: fifth-order polynomial of {taken:.2f} s")
         turned = np.arange(start.size) < 3
         return best + problem.curve.guess(
             lambda share: angle * np.sin(np.pi * share[:, None]) ** 2 * turned, 0.0
         )
+
+    def _from_end_to_end(self, duration: float) -> Callable[[np.ndarray], np.ndarray]:
+        """z of what is planned (n, size) by the shares (n,) of a duration, s, along a fifth-order
+        polynomial.
+        """
+        if isinstance(self._dynamics, ChainDynamics):
+            return self._dynamics.along(self._mission, duration, self._start[:4])
+        start, goal = self._driven_ends()
+        first = self._rate[self._planned] * duration
+        last = start + 0.5 * first if goal is None else goal
+        ends = [start, first, 0.0 * first], [last, 0.0 * first, 0.0 * first]
+        found: Callable[[np.ndarray], np.ndarray] = BPoly.from_derivatives([0.0, 1.0], ends)
+        return found
 
     def _solved(
         self, problem: PlanningProgram, unknowns: np.ndarray
@@ -267,16 +300,23 @@ class _Planner:
             is_last = attempt == _ATTEMPTS - 1 or self._is_over
             if not found.exceeded or said == "InfeasibleConstraints" or is_last:
                 break
-            driven = self._model.coordinates.driven
             used = {margin.quantity: margin for margin in found.margins}
             turn, near = used.get("turn"), used.get("clearance")
             problem.tighten(
-                np.abs(found.force[:, driven]) / self._limits.force[driven],
+                self._rows_in_use(found),
                 0.0 if turn is None else turn.value / turn.limit,
                 0.0 if near is None else near.excess,
                 where=attempt < _ATTEMPTS // 2,
             )
         return found, said
+
+    def _rows_in_use(self, found: PlannedMotionReport) -> np.ndarray:
+        """Shares of the limits of the solver's rows (m, rows) that a plan takes."""
+        if isinstance(self._dynamics, ChainDynamics):
+            z = [each[self._planned] for each in found.plan.curve(found.times)]
+            return self._dynamics.used(*z, force=self._own_limits.force)
+        shares: np.ndarray = np.abs(found.force[:, self._planned]) / self._own_limits.force
+        return shares
 
     def _plan_of(self, unknowns: np.ndarray) -> Plan:
         """Return the plan with these unknowns.
@@ -290,12 +330,12 @@ class _Planner:
         every = np.tile(np.r_[np.zeros(3), self._start[4:]], (segments + DEGREE, 1))
         every[1:] += self._rate * lengths[0] / DEGREE
         second = every[1].copy()
-        every[:, coordinates.driven] = points.reshape(len(every), -1)
+        every[:, self._planned] = points.reshape(len(every), -1)
         # Constraints met within the solver's tolerance are enforced exactly.
         every[1] = second
         if self._scenario.planning.end_rate == 0.0:
             every[-2] = every[-1]
-        return Plan(
+        plan = Plan(
             duration=float(duration),
             settle=0.0,
             first_attitude=tuple(self._start[:4].tolist()),
@@ -303,12 +343,15 @@ class _Planner:
             knots=np.r_[0.0, np.cumsum(lengths[:-1]) / duration, 1.0],
             control_points=every,
         )
+        return self._dynamics.closed(plan) if isinstance(self._dynamics, ChainDynamics) else plan
 
     def _evaluated(self, plan: Plan) -> PlannedMotionReport:
         """Cost and limits of a plan, between the solver's instants too."""
         model, limits, times = self._model, self._limits, plan.instants(_FINE)
-        size = model.coordinates.num_velocities
-        if model.coordinates.undriven:
+        size, wrench = model.coordinates.num_velocities, np.empty((0, 0))
+        if isinstance(self._dynamics, ChainDynamics):
+            rows, force, wrench = self._dynamics.evaluated(plan, times)
+        elif model.coordinates.undriven:
             sample_time = self._scenario.sample_time
             planned = PathMotion(plan, coordinates=model.coordinates, sample_time=sample_time)
             followed = FreeMotion(planned, model=model, sample_time=sample_time)
@@ -322,6 +365,8 @@ class _Planner:
         impulse = np.trapezoid(np.abs(force[main]), times[main], axis=0)
         turns = np.linalg.norm(position_errors(rows, rows[:1])[:, :3], axis=1)
         found = margins(limits, model, times, rows, force, impulse)
+        if wrench.size:
+            found += wrench_margins(limits, times, wrench)
         found += self._other_margins(times, rows[:, : size + 1], turns)
         if (end_rate := self._scenario.planning.end_rate) > 0.0:
             driven = model.coordinates.driven

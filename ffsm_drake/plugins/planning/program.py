@@ -13,6 +13,7 @@ import numpy as np
 from pydrake.solvers import LinearConstraint, MathematicalProgram, PyFunctionConstraint
 
 from ffsm_drake.common.so3 import attitude_motion
+from ffsm_drake.plugins.planning.chain_dynamics import ChainDynamics
 from ffsm_drake.plugins.planning.curve import Curve
 from ffsm_drake.plugins.planning.inverse_dynamics import FreeDynamics, InverseDynamics
 from ffsm_drake.plugins.planning.motion_limits import MotionLimits
@@ -35,7 +36,7 @@ class PlanningProgram:
     def __init__(
         self,
         *,
-        dynamics: InverseDynamics | FreeDynamics,
+        dynamics: InverseDynamics | FreeDynamics | ChainDynamics,
         planning: Planning,
         limits: MotionLimits,
         start: np.ndarray,
@@ -51,7 +52,7 @@ class PlanningProgram:
         """Args:
         dynamics: dynamics of z.
         planning: settings.
-        limits: limits of z alone.
+        limits: limits of z alone, then of other forces.
         start: z at the start.
         rate: rate of z at the start.
         goal: z at the end; None: anywhere.
@@ -71,7 +72,9 @@ class PlanningProgram:
         duration = self._program.NewContinuousVariables(1, "duration")
         self._times = np.r_[duration, self._program.NewContinuousVariables(planning.segments, "d")]
         self._unknowns = np.r_[self._points, self._times]
-        self._share = np.ones((curve.instants, start.size))  # share of the force limits
+        # limits of the rows of the dynamics, and the share of them in use
+        self._most = np.concatenate([limits.force, np.ones(dynamics.extra)])
+        self._share = np.ones((curve.instants, self._most.size))
         self._add_lengths(shortest, longest)
         self._end: LinearConstraint | None = None
         self._add_curve(start, rate, goal)
@@ -166,8 +169,8 @@ class PlanningProgram:
 
     def _add_forces(self) -> None:
         """Forces within their limits."""
-        bounded = np.flatnonzero(np.isfinite(self._limits.force))
-        limits, self._bounded = self._limits.force[bounded], bounded
+        bounded = np.flatnonzero(np.isfinite(self._most))
+        limits, self._bounded = self._most[bounded], bounded
         self._forces: PyFunctionConstraint | None = None
         if not bounded.size:
             return
@@ -234,7 +237,7 @@ class PlanningProgram:
     def tighten(self, used: np.ndarray, turn: float, short: float, *, where: bool) -> None:
         """Tighten what a solution exceeds between instants.
 
-        Args: shares of the force limits in use (m, size), at equally many instants of every third
+        Args: shares of the limits of rows in use (m, rows), at equally many instants of every third
         of a segment; the share of the largest turn; by how much parts are too near, m; whether
         forces are tightened where they exceed their limits alone.
         """
@@ -261,13 +264,13 @@ class PlanningProgram:
 
     def worst(self, unknowns: np.ndarray) -> float:
         """Return the largest share of a force limit in use."""
-        force = self.curve.evaluate(unknowns)[0][:, : self.curve.size]
-        return float(np.max(np.abs(force) / self._limits.force))
+        rows = self.curve.evaluate(unknowns)[0][:, : self._most.size]
+        return float(np.max(np.abs(rows) / self._most))
 
     def _cost(self, x: np.ndarray) -> np.ndarray:
         """Weighed duration and integral of the squared force."""
         own, effort = self._planning.time_weight, self._planning.effort_weight
-        square = np.square(self.curve.values(x)[:, : self.curve.size]).sum(axis=1)
+        square = np.square(self.curve.values(x)[:, : self._limits.force.size]).sum(axis=1)
         lengths = self.curve.lengths(x)
         return (
             own * lengths.sum() + effort * (self.curve.weights @ lengths) @ square

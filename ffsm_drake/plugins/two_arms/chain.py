@@ -213,6 +213,21 @@ class ClosedChain:
                 "plane)",
             )
 
+    def followers(self, q: np.ndarray) -> list[np.ndarray]:
+        """Of each loop, indices in v of as many of its joints as it has constraints: those that the
+        others move the least, in a configuration q (nq) near to a closed one.
+        """
+        q, found = self.closed(q), list[np.ndarray]()
+        for loop in self.loops:
+            jacobian, chosen = loop.closure.jacobian(self.model, q)[:, loop.joints], list[int]()
+            for _ in range(len(jacobian)):  # the longest column, and the rest across it
+                longest = int(np.argmax(np.linalg.norm(jacobian, axis=0)))
+                along = jacobian[:, longest] / np.linalg.norm(jacobian[:, longest])
+                jacobian = jacobian - np.outer(along, along @ jacobian)
+                chosen.append(int(loop.joints[longest]))
+            found.append(np.array(chosen))
+        return found
+
     def closed(self, q: np.ndarray, loops: Sequence[Loop] | None = None) -> np.ndarray:
         """The configuration q (nq) with the joints of the closing arms moved until the loops, all
         or some, are closed. Raises ScenarioError: they are out of reach.

@@ -184,15 +184,7 @@ def minimal_model(mission: Mission, chain: ClosedChain) -> ChainModel:
         q = make_motion(mission, tree.grip).evaluate(time)[0]
     else:
         q = configuration(tree.coordinates, scenario.initial_posture, key="initial_posture")
-    q, following = chain.closed(q), list[int]()
-    for loop in chain.loops:
-        jacobian = loop.closure.jacobian(tree, q)[:, loop.joints]
-        for _ in range(len(jacobian)):  # the longest column, and the rest across it
-            longest = int(np.argmax(np.linalg.norm(jacobian, axis=0)))
-            along = jacobian[:, longest] / np.linalg.norm(jacobian[:, longest])
-            jacobian = jacobian - np.outer(along, along @ jacobian)
-            following.append(int(loop.joints[longest]))
-    coordinates, chosen = tree.coordinates, np.array(sorted(following))
+    coordinates, chosen = tree.coordinates, np.sort(np.concatenate(chain.followers(q)))
     free = np.setdiff1d(np.arange(len(coordinates.names)), chosen)
     joints = free[NUM_BASE_VELOCITIES:] - NUM_BASE_VELOCITIES
     fewer = Coordinates(

@@ -15,6 +15,7 @@ from scipy.interpolate import BSpline
 from ffsm_drake.common.so3 import turned_by
 from ffsm_drake.mission import Mission, planned
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, newton_step
+from ffsm_drake.plugins.two_arms.closed_motion import ClosedMotion
 from ffsm_drake.plugins.two_arms.following import (
     Arm,
     Closing,
@@ -234,3 +235,12 @@ def start_of(mission: Mission, model: PlantModel, state: np.ndarray) -> np.ndarr
     if v.any():
         v, _ = plastic_impact(model.calc_mass_matrix(q), jacobian, v)
     return np.concatenate([q, v])
+
+
+def closed_motion(motion: PlannedMotion, mission: Mission, nominal: PlantModel) -> PlannedMotion:
+    """The motion of a chain: along a plan, or of the target along the path of a polynomial. Raises
+    the errors of both.
+    """
+    if mission.scenario.reference.kind == "optimal":
+        return ClosedMotion(motion, mission, nominal)
+    return ChainMotion(motion, mission, nominal)

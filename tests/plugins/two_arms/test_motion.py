@@ -69,10 +69,6 @@ def test_every_pair_of_arms_settles_with_a_small_internal_force(drawn: Scenario)
         (["target_posture.joints.left_5=0.0"], "at .* % of the path the arm of .* is singular"),
         (["actuation.driven=[joints]"], "not supported with more than one contact"),
         (["faults.detection={}"], "faults.detection: is not supported with more than one contact"),
-        (
-            ["reference.kind=optimal", "reference.plan=x.yaml"],
-            "reference.kind: is not supported with more than one contact",
-        ),
         (["chain.force.preload=[1]"], "must hold 6 values"),
     ],
 )

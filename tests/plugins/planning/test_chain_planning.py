@@ -1,0 +1,142 @@
+"""Plans for two arms that hold one target: the loops stay closed, and every limit is kept."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RotationMatrix
+
+from ffsm_drake import Scenario, ScenarioError, load_scenario, make_nominal_plant, simulate
+from ffsm_drake.mission import Mission
+from ffsm_drake.plugins.planning.chain_dynamics import ChainDynamics
+from ffsm_drake.plugins.planning.inverse_dynamics import complex_step
+from ffsm_drake.plugins.planning.motion_limits import motion_limits
+from ffsm_drake.plugins.planning.planner import PlanningError, plan_motion
+from ffsm_drake.plugins.two_arms.chain import ClosedChain
+from ffsm_drake.spacecraft.coordinates import position_errors
+from ffsm_drake.spacecraft.limits import FORCE
+from ffsm_drake.systems.reference import make_motion, timed
+
+LIMIT = {"actuation": {"limit": {"joints": 4.0}}}
+HAND = {"contacts": {"right": {"force_limit": 6.0, "moment_limit": 3.0}}}
+
+
+def limited(*overrides: str, name: str = "two_arms", **changes: Any) -> Scenario:
+    scenario = load_scenario(name, ["planning.segments=16", "reference.duration=12", *overrides])
+    return scenario.replace(**{**LIMIT, **HAND, **changes})
+
+
+def dynamics_of(scenario: Scenario, first: np.ndarray) -> ChainDynamics:
+    mission = Mission(scenario)
+    model = mission.craft.nominal()
+    return ChainDynamics(mission, model, RotationMatrix(Quaternion(first)), motion_limits(mission))
+
+
+@pytest.mark.parametrize("name", ["two_arms", "two_arms_capture"])
+@pytest.mark.parametrize("share", ["null", "0.4"])
+def test_the_dynamics_are_those_of_the_motion(name: str, share: str) -> None:
+    """Rotation vectors and followers against the joints and quaternions of the chain's motion."""
+    scenario = limited(f"chain.force.share={share}", name=name)
+    mission = Mission(scenario)
+    motion, times = make_motion(mission), np.linspace(0.5, 11.0, 6)
+    found = motion.demand(mission.craft.nominal(), times)
+    first = motion.evaluate(0.0)[0][:4]
+    dynamics, step = dynamics_of(scenario, first), 1e-3
+
+    def z(at: np.ndarray) -> np.ndarray:
+        q = motion.evaluate(at)[0]
+        turns = position_errors(q, np.concatenate([first, q[0, 4:]])[None])[:, :3]
+        return np.hstack([turns, q[:, 4:]]).T[dynamics.chain.free]
+
+    dynamics.chain.learn(motion.evaluate(times)[0][:, 7:].T)
+    rate = (z(times + step) - z(times - step)) / (2.0 * step)
+    acceleration = (z(times + step) - 2.0 * z(times) + z(times - step)) / step**2
+    rows = dynamics.calc(z(times), rate, acceleration)
+    assert_allclose(rows[:18], found[FORCE].T[dynamics.order], atol=1e-5)
+    assert_allclose(rows[dynamics.joints], motion.evaluate(times)[0][:, 7:].T, atol=1e-9)
+    wrench = rows[18 + 18 : dynamics.joints.start].T * motion_limits(mission).wrench
+    assert_allclose(wrench, found["contact_wrench"], atol=1e-5)
+
+
+def test_derivatives_pass_through_the_closed_loops() -> None:
+    scenario = limited()
+    start = make_motion(Mission(scenario)).evaluate(3.0)[0]
+    dynamics = dynamics_of(scenario, start[:4])
+    dynamics.chain.learn(start[7:, None])
+    generator = np.random.default_rng(0)
+    motion = generator.normal(0.0, 0.05, (3, 12, 2))
+    motion[0] += np.concatenate([np.zeros(3), start[4:]])[dynamics.chain.free, None]
+    _, by = complex_step(dynamics.calc, motion)
+    step = 1e-6
+    for order, i in ((0, 1), (0, 8), (1, 2), (1, 9), (2, 7)):
+        up, down = motion.copy(), motion.copy()
+        up[order, i] += step
+        down[order, i] -= step
+        slope = (dynamics.calc(*up) - dynamics.calc(*down)) / (2.0 * step)
+        rows = np.r_[:30, 36:48]  # without the gaps, which are rounding
+        assert_allclose(by[order, rows, i], slope[rows], rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.long
+def test_a_plan_of_two_arms_keeps_every_limit_and_is_faster_than_a_polynomial(
+    tmp_path: Path,
+) -> None:
+    scenario = limited()
+    found = plan_motion(scenario, time_limit=150.0)
+    assert not found.exceeded
+    reserve = {"reserve": scenario.planning.reserve, "duration": None}
+    polynomial = timed(Mission(scenario.replace(reference=reserve))).scenario.reference.duration
+    assert polynomial is not None
+    assert found.plan.duration < 0.95 * polynomial
+    found.plan.save(tmp_path / "plan.yaml", title="")
+    plan = {"kind": "optimal", "plan": str(tmp_path / "plan.yaml")}
+    flown = scenario.replace(reference=plan, duration=15.0)
+    mission, model = Mission(flown), make_nominal_plant(flown)
+    motion, chain = make_motion(mission), ClosedChain(model, flown, true=False)
+    times = np.linspace(0.0, found.plan.end, 200)
+    demand = motion.demand(model, times)
+    assert np.abs(demand[FORCE][:, 6:]).max() < 4.0 * (1.0 - flown.planning.reserve) * 1.001
+    wrench = np.abs(demand["contact_wrench"]).max(axis=0) / (1.0 - flown.planning.reserve)
+    assert (wrench < 1.001 * np.repeat([3.0, 6.0], 3)).all()
+    for q, v, a in zip(*motion.evaluate(times), strict=True):
+        assert_allclose(chain.gap(q), 0.0, atol=1e-9)
+        assert_allclose(chain.jacobian(q) @ v, 0.0, atol=1e-9)
+        assert_allclose(chain.jacobian(q) @ a + chain.bias(q, v), 0.0, atol=1e-9)
+    run = simulate(flown, check_stability=False)
+    assert run.ending.is_settled
+    assert run.metrics["contacts"]["gap"] < 1e-6
+
+
+@pytest.mark.long
+def test_a_capture_by_two_arms_is_stopped_on_a_plan(tmp_path: Path) -> None:
+    scenario = limited(name="two_arms_capture")
+    found = plan_motion(scenario, time_limit=30.0)
+    found.plan.save(tmp_path / "plan.yaml", title="")
+    plan = {"kind": "optimal", "plan": str(tmp_path / "plan.yaml")}
+    assert found.plan.end < 12.0
+    run = simulate(scenario.replace(reference=plan, duration=15.0), check_stability=False)
+    assert run.ending.is_settled
+    assert run.metrics["contacts"]["gap"] < 1e-6
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["reference.duration=2"], r"active limit: (left|right)_\d: force .* N m at t = "),
+        (["contacts.right.force_limit=0.02", "reference.duration=6"],
+         r"active limit: contacts.right force_\w: wrench .* N at t = "),
+    ],
+)  # fmt: skip
+def test_an_infeasible_plan_names_the_limit(overrides: list[str], words: str) -> None:
+    with pytest.raises(PlanningError, match=words):
+        plan_motion(load_scenario("two_arms", [LIMIT, "planning.segments=6", *overrides]),
+                    time_limit=20.0)  # fmt: skip
+
+
+def test_a_late_hand_is_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"contacts\.right\.closes: a plan is for hands"):
+        plan_motion(limited("contacts.right.closes=2"))
