@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from ffsm_drake.plugins.planning.planner import PlannedMotionReport
+from ffsm_drake.plugins.planning.planned_report import PlannedMotionReport
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.show.chart import Chart, Curve, Level
 from ffsm_drake.show.figures.axes import plot_charts

@@ -20,11 +20,11 @@ from ffsm_drake.plugins.planning.curve import INSTANTS
 from ffsm_drake.plugins.planning.inverse_dynamics import FreeDynamics, InverseDynamics
 from ffsm_drake.plugins.planning.motion_limits import (
     Margin,
-    MotionLimits,
     margins,
     motion_limits,
     wrench_margins,
 )
+from ffsm_drake.plugins.planning.planned_report import PlannedMotionReport
 from ffsm_drake.plugins.planning.program import PlanningProgram
 from ffsm_drake.plugins.task_space.free_motion import FreeMotion
 from ffsm_drake.scenario import Scenario
@@ -45,6 +45,7 @@ _FINE = 8 * INSTANTS  # instants per segment, at which a plan is checked
 _POSTURES = 100  # number of instants for the clearance
 _DURATIONS = np.geomspace(0.0025, 1.0, 31)  # durations of the first guess, as parts of the longest
 _ATTEMPTS = 5  # at limits that are exceeded between the solver's instants
+_MORE = 1.002  # by which a plan is stretched beyond what its forces need
 _ACCURACY = 1e-8  # relative accuracy of the undriven base's final pose
 _AT_REST = 1e-9  # N m s
 _DETOUR = 0.05  # rad; about each axis, of the base in the first guess
@@ -54,35 +55,6 @@ _MOST_SEGMENTS = 100  # upper bound of a scenario's setting
 
 class PlanningError(FfsmError):
     """No motion was found that keeps every limit."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class PlannedMotionReport:
-    """A plan, and what it takes."""
-
-    plan: Plan
-    solve_time: float  # s of wall time
-    evaluations: int
-    effort: float  # integral of the squared force, up to the plan's duration, as in ISV
-    # by group: integral of the force's size summed over its coordinates, up to the duration
-    impulse: dict[str, float]
-    # |H0| about the centre of mass, N m s, and the least time in which torque on the base alone
-    # takes it out, s
-    angular_momentum: float
-    least_by_torque: float
-    momentum_left: float  # N m s; |H| about the centre of mass at ``plan.duration``
-    # rad; the largest, where momentum turns the base, from its first attitude
-    base_turn: float | None
-    margins: tuple[Margin, ...]
-    times: np.ndarray  # (n,), s, to the end of the plan
-    rows: np.ndarray  # [q_d; v_d; dv_d/dt] (n, nq + 2 nv)
-    force: np.ndarray  # (n, nv), N m and N
-    limits: MotionLimits
-
-    @property
-    def exceeded(self) -> list[Margin]:
-        """Limits that the plan does not keep."""
-        return [margin for margin in self.margins if not margin.kept]
 
 
 @step("planning the motion")
@@ -210,9 +182,27 @@ class _Planner:
                 return self._settled(found)
             failures.append((said, found))
             if self._is_over:
+                found = self._stretched(found)
+                if not found.exceeded:
+                    return self._settled(found)
                 break
             self._progress(f"first guess {len(failures)}: {said}")
         raise PlanningError(self._why_not(failures))
+
+    def _stretched(self, found: PlannedMotionReport) -> PlannedMotionReport:
+        """A plan from rest that takes longer, so that its forces keep their limits: at a share s of
+        its speed they are s^2 as large.
+        """
+        for _ in range(_ATTEMPTS):
+            beyond = [each for each in found.exceeded if each.quantity in ("force", "wrench")]
+            if self._rate.any() or not beyond or len(beyond) < len(found.exceeded):
+                break
+            most = max(abs(each.value / each.limit) for each in beyond)
+            longer = found.plan.duration * math.sqrt(_MORE * most)
+            if longer > self._longest:
+                break
+            found = self._evaluated(dataclasses.replace(found.plan, duration=longer))
+        return found
 
     @property
     def _is_over(self) -> bool:

@@ -4,7 +4,7 @@ import dataclasses
 from typing import Any
 
 from ffsm_drake.common.numbers import NONE, number, percent
-from ffsm_drake.plugins.planning.planner import PlannedMotionReport
+from ffsm_drake.plugins.planning.planned_report import PlannedMotionReport
 from ffsm_drake.show.tables import aligned
 
 
