@@ -7,6 +7,7 @@ derivative in their imaginary parts through it: one step of Newton from the real
 import dataclasses
 
 import numpy as np
+from pydrake.multibody.tree import Frame
 
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.mission import Mission
@@ -142,13 +143,13 @@ class ChainPrograms:
         gap, jacobian = np.split(every, [self._size])
         return gap, jacobian.reshape(self._size, len(joints), -1)
 
-    def _place(self, frame: object) -> Place:
-        return self._reader.place_of(frame)  # type: ignore[arg-type]
+    def _place(self, frame: Frame) -> Place:
+        return self._reader.place_of(frame)
 
     def _placed(self, closure: Closure) -> Closure:
         """A loop with the places of its frames."""
         hand, grasp = self._place(closure.hand), self._place(closure.grasp)
-        return dataclasses.replace(closure, hand=hand, grasp=grasp)  # type: ignore[arg-type]
+        return dataclasses.replace(closure, hand=hand, grasp=grasp)
 
     @staticmethod
     def _gap(model: TracedModel, closure: Closure, q: np.ndarray) -> np.ndarray:
