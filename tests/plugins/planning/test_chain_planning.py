@@ -112,8 +112,8 @@ def test_a_plan_of_two_arms_keeps_every_limit_and_is_faster_than_a_polynomial(
 
 @pytest.mark.long
 def test_a_capture_by_two_arms_is_stopped_on_a_plan(tmp_path: Path) -> None:
-    scenario = limited(name="two_arms_capture")
-    found = plan_motion(scenario, time_limit=30.0)
+    scenario = limited("planning.segments=8", name="two_arms_capture")
+    found = plan_motion(scenario, time_limit=120.0)
     found.plan.save(tmp_path / "plan.yaml", title="")
     plan = {"kind": "optimal", "plan": str(tmp_path / "plan.yaml")}
     assert found.plan.end < 12.0
