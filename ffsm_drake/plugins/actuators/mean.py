@@ -5,94 +5,98 @@ impulse. Wheels counter the torque of pulses and give the commanded torque immed
 omitted.
 """
 
-import numpy as np
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem, System
-from pydrake.systems.primitives import PassThrough
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from ffsm_drake.common.lifetime import untie, weak_callback
-from ffsm_drake.plugins.actuators.row import Actuators, make_actuation
-from ffsm_drake.scenario import Thrusters
+import numpy as np
+
+from ffsm_drake.plugins.actuators.row import Actuators, acting, make_actuation
+from ffsm_drake.scenario import Actuation, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
+from ffsm_drake.systems.continuous import Continuous
+from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 from ffsm_drake.systems.setup import BlockSetup
 
 
-class MeanThrusters(LeafSystem):
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class MeanThrusters(Sampled):
     """The base's wrench, with some entries held over a control frame.
 
-    Input: ``commanded_force`` (nv). Output: ``applied_force`` (nv).
-    Discrete state, updated every control sample: the held wrench and the owed impulse (12),
-    whether a frame begins (1).
+    Input: ``commanded_force`` (nv). Output: ``applied_force`` (nv). Memory: the held wrench (6),
+    and the owed impulse (6). Phase: whether a frame begins (1).
     """
 
-    def __init__(
-        self,
-        settings: Thrusters,
-        coordinates: Coordinates,
-        *,
-        with_wheels: bool,
-        sample_time: float,
-    ) -> None:
-        """Args:
-        settings: the thrusters.
-        coordinates: coordinates of the applied force.
-        with_wheels: whether wheels give the torque.
-        sample_time: s.
-        """
-        super().__init__()
-        self.phase_period, self._sample_time, nv = (
-            settings.frame,
-            sample_time,
-            len(coordinates.names),
+    held: np.ndarray  # (6) whether an entry is held over a frame
+    owes: np.ndarray  # (6) whether the remaining impulse of an entry is given in the next frame
+    num_velocities: int
+    frame: int  # control samples
+    sample_time: float
+    acts = True
+
+    @property
+    def inputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        return {"commanded_force": self.num_velocities}
+
+    @property
+    def outputs(self) -> Mapping[str, int]:
+        """See Sampled."""
+        return {"applied_force": self.num_velocities}
+
+    def start(self, state: np.ndarray | None = None) -> Arrays:
+        """See Sampled."""
+        return {"wrench": np.zeros(6), "owed": np.zeros(6)}
+
+    def phase(self, sample: Any) -> Sequence[Any]:
+        """See Sampled."""
+        return [(sample % self.frame == 0) * 1.0]
+
+    @property
+    def phase_period(self) -> int:
+        """See Sampled."""
+        return self.frame
+
+    def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
+        """See Sampled."""
+        applied, owed = inputs["commanded_force"].copy(), memory["owed"]
+        commanded = inputs["commanded_force"][:6]
+        given = commanded + owed / (self.frame * self.sample_time)
+        later = np.where(self.held, memory["wrench"], given)
+        applied[:6] = given = np.where(now.phase[0] > 0.5, given, later)
+        left = owed + (commanded - given) * self.sample_time
+        return {"applied_force": applied}, {"wrench": given, "owed": self.owes * left}
+
+
+def _mean(scenario: Scenario, coordinates: Coordinates) -> tuple[Actuation, MeanThrusters | None]:
+    """The actuators without thrusters and wheels, and what acts in place of them."""
+    settings, base = scenario.actuation, None
+    if settings.thrusters is not None:
+        held = np.repeat([settings.wheels is None, True], 3)
+        base = MeanThrusters(
+            held=held,
+            owes=held & (settings.thrusters.modulator != "pwpf"),
+            num_velocities=len(coordinates.names),
+            frame=settings.thrusters.frame,
+            sample_time=scenario.sample_time,
         )
-        self._held = np.repeat([not with_wheels, True], 3)
-        self._owes = self._held & (settings.modulator != "pwpf")
-        self._commanded = self.DeclareVectorInputPort("commanded_force", nv)
-        self._memory = self.DeclareDiscreteState(np.zeros(12))
-        self._begins = self.DeclareDiscreteState(np.zeros(1))
-        depends = {self.input_port_ticket(self._commanded.get_index()), self.xd_ticket()}
-        self.DeclareVectorOutputPort("applied_force", nv, weak_callback(self._calc), depends)
-        self.DeclarePeriodicDiscreteUpdateEvent(sample_time, 0.0, weak_callback(self._update))
-        untie(self)
-
-    def phase(self, sample: int) -> int:
-        """Phase of a control sample: the number of samples since a frame began."""
-        return sample % self.phase_period
-
-    def _give(self, context: Context, *, begins: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Wrench (6) of a sample, and the impulse (6) that is owed after it."""
-        commanded = self._commanded.Eval(context)[:6]
-        held, owed = np.split(context.get_discrete_state(self._memory).value(), 2)
-        given = commanded + owed / (self.phase_period * self._sample_time)
-        if not begins:
-            given = np.where(self._held, held, given)
-        return given, self._owes * (owed + (commanded - given) * self._sample_time)
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        applied = self._commanded.Eval(context).copy()
-        applied[:6], _ = self._give(
-            context, begins=context.get_discrete_state(self._begins).value()[0] > 0.5
-        )
-        output.SetFromVector(applied)
-
-    def _update(self, context: Context, values: DiscreteValues) -> None:
-        sample = round(context.get_time() / self._sample_time)
-        values.set_value(
-            self._memory, np.concatenate(self._give(context, begins=self.phase(sample - 1) == 0))
-        )
-        values.set_value(self._begins, [float(self.phase(sample) == 0)])
+    return dataclasses.replace(settings, thrusters=None, wheels=None), base
 
 
 def make_mean_actuation(setup: BlockSetup) -> Actuators | None:
-    """The scenario's actuators with the mean of their pulses; without thrusters the base's wrench
-    acts as commanded.
+    """Return the scenario's actuators with the mean of their pulses; without thrusters the base's
+    wrench acts as commanded.
     """
-    settings, coordinates, period = setup.scenario.actuation, setup.coordinates, setup.sample_time
-    base: System = PassThrough(len(coordinates.names))
-    if settings.thrusters is not None:
-        base = MeanThrusters(
-            settings.thrusters,
-            coordinates,
-            with_wheels=settings.wheels is not None,
-            sample_time=period,
-        )
-    return make_actuation(settings, coordinates, sample_time=period, base=base)
+    settings, base = _mean(setup.scenario, setup.coordinates)
+    return make_actuation(settings, setup.coordinates, sample_time=setup.sample_time, base=base)
+
+
+def mean_blocks(
+    scenario: Scenario, coordinates: Coordinates
+) -> tuple[list[Sampled], list[Continuous]]:
+    """Return the blocks of ``make_mean_actuation`` in a row after saturation, quantisation and
+    delay, and those beside them.
+    """
+    settings, base = _mean(scenario, coordinates)
+    row, beside = acting(settings, coordinates, scenario.sample_time, base=base)
+    return [*row.values()], [*beside.values()]

@@ -67,7 +67,7 @@ def make_actuation(
     coordinates: Coordinates,
     *,
     sample_time: float,
-    base: System | None = None,
+    base: Sampled | None = None,
     faults: Sequence[Hit] = (),
     detects: bool = False,
     link: LossyLink | None = None,
@@ -93,32 +93,31 @@ def make_actuation(
       ScenarioError: a value is given for an unknown coordinate; thrusters or wheels cannot give
         every wrench.
     """
-    row, own = _make_limits(settings, coordinates, sample_time=sample_time), settings
-    if base is not None:
-        own = dataclasses.replace(settings, thrusters=None, wheels=None)
-    acting, flowing = _acting(own, coordinates, sample_time, faults=faults, detects=detects)
+    row = _make_limits(settings, coordinates, sample_time=sample_time)
+    blocks, flowing = acting(
+        settings, coordinates, sample_time, base=base, faults=faults, detects=detects
+    )
     if link is not None:
-        acting = {"link": link, **acting}
-    for name, block in acting.items():
+        blocks = {"link": link, **blocks}
+    for name, block in blocks.items():
         row[name] = SampledSystem(block, name=name, sample_time=sample_time)
     beside = {name: ContinuousSystem(each, name=name) for name, each in flowing.items()}
-    if base is not None:
-        row["base"] = base
     if beside and not row:
         row["as_commanded"] = PassThrough(len(coordinates.names))
     return Actuators(row, beside) if row else None
 
 
-def _acting(
+def acting(
     settings: Actuation,
     coordinates: Coordinates,
     sample_time: float,
     *,
+    base: Sampled | None = None,
     faults: Sequence[Hit] = (),
     detects: bool = False,
 ) -> tuple[dict[str, Sampled], dict[str, Continuous]]:
-    """The blocks in a row after saturation, quantisation and delay, and those beside them, by
-    name.
+    """Return the blocks in a row after saturation, quantisation and delay, and those beside them,
+    by name. Arguments and errors: see ``make_actuation``.
     """
     row, beside = dict[str, Sampled](), dict[str, Continuous]()
     nv = len(coordinates.names)
@@ -128,12 +127,14 @@ def _acting(
             row["rate_limit"] = RateLimit(drives=drives, num_velocities=nv)
         if drives.has_friction:
             beside[FRICTION] = JointFriction(drives=drives, num_velocities=nv)
-    if settings.thrusters is not None or settings.wheels is not None:
-        row["actuators"] = base = make_base_actuators(
+    if base is not None:
+        row["base"] = base
+    elif settings.thrusters is not None or settings.wheels is not None:
+        row["actuators"] = made = make_base_actuators(
             settings, coordinates, sample_time=sample_time, faults=faults, detects=detects
         )
-        if base.wheels is not None:
-            beside["momentum"] = Gyroscopic(momentum=base.wheels.initial, num_velocities=nv)
+        if made.wheels is not None:
+            beside["momentum"] = Gyroscopic(momentum=made.wheels.initial, num_velocities=nv)
     return row, beside
 
 
@@ -143,7 +144,7 @@ def acting_blocks(
     """Return the blocks of a scenario's actuators in a row, after saturation, quantisation and
     delay, and those beside them. Raises the errors of ``make_actuation``.
     """
-    row, beside = _acting(
+    row, beside = acting(
         allocated(scenario), coordinates, scenario.sample_time, faults=_faults(scenario),
         detects=detects(scenario),
     )  # fmt: skip

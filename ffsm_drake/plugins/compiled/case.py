@@ -23,7 +23,7 @@ from ffsm_drake.plugins.compiled.parts import (
     sampled_of,
 )
 from ffsm_drake.plugins.compiled.recent import Recent
-from ffsm_drake.plugins.compiled.scenario_blocks import ScenarioBlocks
+from ffsm_drake.plugins.compiled.scenario_blocks import ActingBlocks, ScenarioBlocks
 from ffsm_drake.plugins.compiled.schemes import steps_of
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import HELD, Grip, MassProperties, Scenario
@@ -58,6 +58,7 @@ class Case:
         blocks: Mapping[str, Factory] = {},
         joint_force: np.ndarray | None = None,
         noise: Noise | None = None,
+        acting: ActingBlocks | None = None,
     ) -> None:
         """Args:
         mission: the mission.
@@ -69,6 +70,7 @@ class Case:
         blocks: factories of blocks in place of the scenario's.
         joint_force: see ``add_closed_loop``.
         noise: of the run, if it is known.
+        acting: makes the actuators in place of the scenario's.
 
         Raises NotCovered.
         """
@@ -86,7 +88,7 @@ class Case:
         settled = mission.of(settle_faults(scenario, self.coordinates))
         plain = BlockSetup(name="", mission=settled, nominal=self.nominal, settings={})
         reader_of(self.true)  # refuses an unknown joint before a block is made
-        self.made = ScenarioBlocks(plain, self._errors, blocks)
+        self.made = ScenarioBlocks(plain, self._errors, blocks, acting)
         self.parts = self.made.parts
         found = parameters_of(self.parts, "blocks")
         phases = tuple(len(block.phase(0)) for _, block in sampled_of(self.parts))
@@ -302,16 +304,16 @@ class Case:
 _cases = Recent[tuple[Scenario, Case]](_KEPT)
 
 
-def case_of(mission: Mission, grip: Grip = HELD) -> Case:
+def case_of(mission: Mission, grip: Grip = HELD, acting: ActingBlocks | None = None) -> Case:
     """Return what phases share whose missions differ in their controllers at most. The last ones
-    without blocks of a user are kept, for the predictions of their runs.
+    without blocks of a user are kept, for the predictions of their runs. Args: see ``Case``.
     """
     scenario = mission.scenario
     if scenario.blocks.choices():
-        return Case(mission, grip)
-    key, shared = (grip, scenario.random_seed), dataclasses.replace(scenario, controller="")
+        return Case(mission, grip, acting=acting)
+    key, shared = (grip, scenario.random_seed, acting), dataclasses.replace(scenario, controller="")
     known, case = _cases.get(key) or (None, None)
     if case is None or known != shared or case.mission.plan is not mission.plan:
-        case = Case(mission, grip)
+        case = Case(mission, grip, acting=acting)
         _cases.keep(key, (shared, case))
     return case

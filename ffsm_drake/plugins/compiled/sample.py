@@ -19,9 +19,11 @@ from ffsm_drake.plugins.compiled.parameters import rows_of
 from ffsm_drake.plugins.compiled.parts import kept_at, phases_at, sampled_of, sizes_of
 from ffsm_drake.plugins.compiled.recent import Recent
 from ffsm_drake.plugins.compiled.run import Run, run_of
+from ffsm_drake.plugins.compiled.scenario_blocks import ActingBlocks
 from ffsm_drake.runs.engine import NotCovered
 from ffsm_drake.scenario import HELD, Grip, MassProperties
 from ffsm_drake.systems.reference import make_frame_motion
+from ffsm_drake.systems.registry import base_actuators
 
 _KEPT = 32  # codes
 _Codes = tuple[Step, Step]  # of a sample alone, and with its derivatives
@@ -39,11 +41,18 @@ class TracedSample:
     measurements, and what drifts in the sensors. ``noise`` has the parts of its noise (m).
     """
 
-    def __init__(self, mission: Mission, before: Mission, grip: Grip = HELD) -> None:
+    def __init__(
+        self,
+        mission: Mission,
+        before: Mission,
+        grip: Grip = HELD,
+        acting: ActingBlocks | None = None,
+    ) -> None:
         """Args: the mission, and one whose run is used if it differs in ``actuation.limit`` alone;
-        what holds the target. Raises NotCovered.
+        what holds the target; what makes the actuators in place of thrusters and wheels. Raises
+        NotCovered.
         """
-        run = _covered(mission, before, grip)
+        run = _covered(mission, before, grip, acting)
         self.motion = run.case.motion
         self._frame = make_frame_motion(mission, run.case.nominal, self.motion)
         self.key, self.law, self.coordinates = run.key, run.law, run.coordinates
@@ -67,6 +76,7 @@ class TracedSample:
         if period > _LONGEST:
             raise NotCovered("sensors with a long common period")
         self.period = period
+        self.latched_period = math.lcm(*(of.phase_period for of in blocks.parts.actuation.values()))
         self._phases = phases_at(blocks.parts, period)  # of each sample of a common period
         white, drift = blocks.row["noise"], blocks.row["drift_noise"]
         self.num_noise = white + drift
@@ -181,28 +191,26 @@ class TracedSample:
         return cells[first : first + size]
 
 
-def traced_sample(mission: Mission, before: Mission, grip: Grip) -> TracedSample | None:
+def traced_sample(
+    mission: Mission, before: Mission, grip: Grip, acting: ActingBlocks
+) -> TracedSample | None:
     """Return the sample of a phase; None: it is not covered. Args: see ``TracedSample``."""
     try:
-        return TracedSample(mission, before, grip)
+        return TracedSample(mission, before, grip, acting)
     except FfsmError:
         return None
 
 
-def _covered(mission: Mission, before: Mission, grip: Grip) -> Run:
+def _covered(mission: Mission, before: Mission, grip: Grip, acting: ActingBlocks | None) -> Run:
     """The run whose sample it is. Arguments: see ``TracedSample``. Raises NotCovered."""
     scenario, given = mission.scenario, before.scenario
     Compiled().check(scenario)
-    if scenario.actuation.thrusters is not None:  # a loop chooses them
-        raise NotCovered("thrusters")
     unlimited = dataclasses.replace(given.actuation, limit=scenario.actuation.limit)
     is_alike = dataclasses.replace(given, actuation=unlimited) == scenario
     own = before if is_alike else mission
-    run = run_of(case_of(own, grip), own)
+    run = run_of(case_of(own, grip, acting if base_actuators(scenario) else None), own)
     if run.blocks.called:
         raise NotCovered(run.blocks.called)
-    if scenario.actuation.wheels is not None:
-        raise NotCovered("wheels")
     if scenario.blocks.choices() or scenario.supervisor is not None:
         raise NotCovered("blocks of a user, or a supervisor")
     return run

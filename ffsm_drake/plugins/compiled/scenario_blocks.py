@@ -33,16 +33,22 @@ class ScenarioBlocks:
     """The blocks of a scenario, or of a phase in their place, except the controller."""
 
     def __init__(
-        self, plain: BlockSetup, errors: SensorErrors, given: Mapping[str, Factory]
+        self,
+        plain: BlockSetup,
+        errors: SensorErrors,
+        given: Mapping[str, Factory],
+        acting: ActingBlocks | None = None,
     ) -> None:
         """Args:
           plain: what blocks are made from, with the faults drawn; names and settings follow.
           errors: of the sensors.
           given: factories of blocks in place of the scenario's.
+          acting: makes the actuators in place of the scenario's.
 
         Raises NotCovered: a block is a Drake system, or is not traced.
         """
         self._plain, self._given = plain, given
+        self._acting_blocks = acting or ACTING_BLOCKS.first()
         self.built = set[str]()  # names of blocks that are made here
         self._shown = list[str]()  # outputs of forces in a record
         stages = measurement_of(errors), *_of(Sampled, self._made("sensing")).values()
@@ -139,10 +145,9 @@ class ScenarioBlocks:
 
     def _acting(self) -> tuple[tuple[Sampled, ...], tuple[Continuous, ...]]:
         """The actuators after limits, quantisation and delay, and the flows beside them."""
-        make = ACTING_BLOCKS.first()
-        if make is None:
+        if self._acting_blocks is None:
             return (), ()
-        row, beside = make(self._plain.scenario, self._plain.coordinates)
+        row, beside = self._acting_blocks(self._plain.scenario, self._plain.coordinates)
         return tuple(row), tuple(beside)
 
     def _supervisor(self) -> Supervisor | None:

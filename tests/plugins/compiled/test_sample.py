@@ -56,6 +56,7 @@ GIVEN = [
 LOOSE = {"paper": 1e-7, "ets_vii": 2e-6, "slotine_li": 1e-5, "prescribed_performance": 1e-7}
 # Forces are large; or poles are multiple: a difference of 2e-7 moves three equal poles by 6e-3.
 LARGE = {"envisat": 0.04, "asmc": 0.01}
+WHEELS = "{units: {x: {axis: [1, 0, 0]}, y: {axis: [0, 1, 0]}, z: {axis: [0, 0, 1]}}}"
 STEPS = 10.0 ** np.arange(-11, -2)
 
 
@@ -92,7 +93,25 @@ def check_derivative(name, law, overrides):
             assert min(off) < LOOSE.get(law, LOOSE.get(name, 1e-8)) * scale, entry
 
 
-def check_loop(name, law, overrides, share, monkeypatch):
+def with_thrusters(seed):
+    """A drawn mission with thrusters: scenario, law, and overrides."""
+    rng = np.random.default_rng(seed)
+    pick = lambda *values: str(rng.choice(values))  # noqa: E731
+    craft = ("postcapture", "flexible_panels", "seven_joint", "two_arms", "two_arms_capture")
+    modulator = pick("pulse_width", "sigma_delta", "pwpf")
+    thrusters = f"layout: 16x22N, frame: {rng.integers(2, 6)}, modulator: {modulator}"
+    delay = rng.integers(0, 2)
+    drives = pick("null", "{viscous_friction: {joints: 0.2}}")
+    plume = pick("", ", plume: {}")
+    given = (
+        f"actuation.thrusters={{{thrusters}{plume}}}", f"actuation.wheels={pick('null', WHEELS)}",
+        f"actuation.drives={drives}", f"actuation.delay={delay}",
+        f"estimator.kind={pick('one_sample', 'kalman')}", f"sensing.delay={delay}",
+    )  # fmt: skip
+    return craft[seed % len(craft)], pick("tdc", "computed_torque", "asmc"), given
+
+
+def check_loop(name, law, overrides, share, monkeypatch, most=5e-4):
     """The differences' steps of 1e-7 are large against the curvature of some laws, and small
     against the rounding of large forces.
     """
@@ -106,7 +125,7 @@ def check_loop(name, law, overrides, share, monkeypatch):
         differenced = linearizer.at(linearizer.part(share))
     monkeypatch.undo()
     radii = exact.spectral_radius, differenced.spectral_radius
-    assert radii[0] == pytest.approx(radii[1], abs=LARGE.get(name, LARGE.get(law, 5e-4)))
+    assert radii[0] == pytest.approx(radii[1], abs=LARGE.get(name, LARGE.get(law, most)))
     to_limit = 1.0 - max(radii)  # how slowly noise is forgotten
     if abs(radii[0] - radii[1]) < 0.01 * to_limit and name not in LARGE:
         expected = differenced.noise_response(500)
@@ -156,6 +175,19 @@ def test_poles_in_a_closed_chain_are_those_of_drake(law, most, monkeypatch):
     apart = np.abs(poles[0][:, None] - poles[1])
     assert apart.min(axis=0).max() < most
     assert apart.min(axis=1).max() < most
+
+
+@pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(seed, marks=pytest.mark.slow if seed == 0 else pytest.mark.long)
+        for seed in range(15)
+    ],
+)
+def test_loops_with_thrusters_are_those_of_differences(seed, monkeypatch):
+    """One-armed and two-armed missions whose thrusters give their mean."""
+    name, law, overrides = with_thrusters(seed)
+    check_loop(name, law, overrides, 0.5, monkeypatch)
 
 
 @pytest.mark.slow

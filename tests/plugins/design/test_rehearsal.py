@@ -34,10 +34,10 @@ def diverges(scenario):
 
 
 @pytest.mark.parametrize(
-    ("frame", "stable"), [(4, True), pytest.param(10, False, marks=pytest.mark.slow)]
+    ("frame", "stable"), [(2, True), pytest.param(10, False, marks=pytest.mark.slow)]
 )
 def test_a_long_control_frame(frame, stable):
-    """The frame's mean is held: 40 ms are well, 100 ms are not."""
+    """The mean is held over the frame, and the law reads it: 20 ms are well, 100 ms are not."""
     duration = 5.0 if stable else 9.0
     scenario = load_scenario(
         "thrusters_only", [f"actuation.thrusters.frame={frame}", f"duration={duration}"]

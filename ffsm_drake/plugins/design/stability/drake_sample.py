@@ -153,6 +153,9 @@ class DrakeSample:
             *(max(1, round(period)) for _, _, period, _ in self._updates),
             *(system.phase_period for system in self._phased),
         )
+        # an actuator's state has the phase of the sample before
+        acting = [each for each in self._phased if getattr(getattr(each, "block", 0), "acts", 0)]
+        self.latched_period = math.lcm(*(each.phase_period for each in acting))
         own = self._context
         self.user_supplied = [
             system

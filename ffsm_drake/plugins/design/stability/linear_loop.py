@@ -16,6 +16,7 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 
 WARM_UP = 5  # control samples on the plan before the map is taken, to fill every memory
 MARGINAL = 1e-6  # distance from the unit circle within which a pole neither grows nor decays
+_NEAR_ONE = 5e-3  # distance of an eigenvalue at one, as it is found
 _KEPT = 1e-7  # singular value of A - 1 that is zero, but for the differences' rounding
 STATIONARY = 2**18  # control samples until a loop that contracts has stationary noise
 
@@ -130,13 +131,14 @@ class LinearLoop:
         """The number of poles at one: of states that nothing moves back.
 
         They are counted as the directions that A keeps: eigenvalues at one of a matrix that is far
-        from normal are found with few digits.
+        from normal are found with few digits. A direction that a matrix with large entries seems to
+        keep has no eigenvalue even near one.
         """
         kept = self._fed_back[1]
         if not np.isfinite(kept).all():
             return 0
         sizes = np.linalg.svd(kept - np.eye(len(kept)), compute_uv=False)
-        return int((sizes < _KEPT).sum())
+        return int(min((sizes < _KEPT).sum(), (np.abs(self.poles - 1.0) < _NEAR_ONE).sum()))
 
     @property
     def kept_memory(self) -> tuple[str, ...]:

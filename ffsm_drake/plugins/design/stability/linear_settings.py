@@ -18,8 +18,8 @@ NOT_LINEAR = {"actuation": ("limit", "quantization"), "drives": ("rate_limit",)}
 
 
 def without_limits(mission: Mission) -> Scenario:
-    """The scenario without quantisation, barriers, supervisor, faults and rough effects, and with
-    the defaults of ``NOT_LINEAR``.
+    """The scenario without quantisation, barriers, supervisor, faults, plumes and rough effects, and
+    with the defaults of ``NOT_LINEAR``.
     """
     scenario, coordinates = mission.scenario, mission.craft.coordinates
     sensing = smooth_sensing(scenario, coordinates)
@@ -30,6 +30,9 @@ def without_limits(mission: Mission) -> Scenario:
         drives = _with_defaults(actuation.drives, NOT_LINEAR["drives"])
         actuation = dataclasses.replace(actuation, drives=drives)
     actuation = _with_defaults(actuation, NOT_LINEAR["actuation"])
+    if actuation.thrusters is not None:  # plumes push with pulses
+        thrusters = dataclasses.replace(actuation.thrusters, plume=None)
+        actuation = dataclasses.replace(actuation, thrusters=thrusters)
     return dataclasses.replace(
         scenario,
         sensing=sensing,

@@ -16,6 +16,7 @@ from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from ffsm_drake.common.registrations import Registry
 from ffsm_drake.common.so3 import quaternion_rate
 from ffsm_drake.mission import Mission
+from ffsm_drake.plugins.actuators.mean import mean_blocks
 from ffsm_drake.plugins.design.stability.drake_sample import DrakeSample
 from ffsm_drake.plugins.design.stability.linear_loop import WARM_UP, SampleMap
 from ffsm_drake.plugins.design.stability.users_period import period_of
@@ -129,6 +130,7 @@ class SampledLoop:
             shapes = {"a": (self.size, self.size), "b": (self.size, count)}
             shapes |= {"c": (forces, self.size), "d": (forces, count)}
             return (SampleMap(**{name: np.full(each, np.nan) for name, each in shapes.items()}),)
+        own = math.lcm(own, self.sample.latched_period)
         found = dict[Hashable, SampleMap]()
         indices = range(index, index + math.lcm(self.sample.period, own))
         kinds = [(self.sample.kind(each), each % own) for each in indices]
@@ -192,19 +194,19 @@ class SampledLoop:
         return found
 
 
-# Of a mission, and the mission with its limits, in a phase: its ``TracedSample``, or None.
-TRACED_SAMPLES = Registry[Callable[[Mission, Mission, Grip], Any]]("traced_samples")
+# Of a mission, and the mission with its limits, in a phase, with what makes its actuators: its
+# ``TracedSample``, or None.
+TRACED_SAMPLES = Registry[Callable[[Mission, Mission, Grip, Callable[..., Any]], Any]](
+    "traced_samples"
+)
 
 
 def traced_sample(mission: Mission, before: Mission, grip: Grip) -> Any:
-    """Return the compiled sample of a phase with a shipped law; None: it is not covered. Wheels
-    give what is commanded. ``before``: the mission with its limits.
+    """Return the compiled sample of a phase with a shipped law; None: it is not covered. Thrusters
+    give their mean, and wheels what is commanded. ``before``: the mission with its limits.
     """
     make = TRACED_SAMPLES.first()
-    if make is None:
-        return None
-    actuation = dataclasses.replace(mission.scenario.actuation, wheels=None)
-    sample = make(mission.flown_by(actuation=actuation), before, grip)
+    sample = None if make is None else make(mission, before, grip, mean_blocks)
     if sample is None or not is_shipped(sample.law) or sample.law.least_change:
         return None
     return sample
