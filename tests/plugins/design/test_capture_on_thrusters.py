@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ffsm_drake import load_scenario, simulate, simulate_many
+from ffsm_drake.plugins.design.limits_left import CLEARANCE
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.load import advice, predicted_load
 from ffsm_drake.plugins.design.verdict import helpful_remarks, verdict
-from ffsm_drake.runs.exceeded_limits import CLEARANCE
 from ffsm_drake.scenario import override_scenario
 from ffsm_drake.systems.mission_limits import base_limits
 

@@ -13,9 +13,9 @@ from missions import FACTORS, PLAIN, REFUSED, ROOT, WARNED, overrides_of, spacec
 
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.cli import main
+from ffsm_drake.plugins.design.limits_left import CLEARANCE
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.plugins.planning.planner import plan_motion
-from ffsm_drake.runs.exceeded_limits import CLEARANCE
 from ffsm_drake.scenario import scenario_to_yaml
 
 ROWS = covering_array(FACTORS, [*REFUSED, *WARNED])
