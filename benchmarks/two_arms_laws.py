@@ -1,6 +1,6 @@
 """Every law with two hands on the target and errors of calibration: what acts at the second hand.
 
-``python benchmarks/two_arms_laws.py --seeds 20`` prints the table of ``docs/validation/control.md``.
+``python benchmarks/two_arms_laws.py --seeds 20`` prints the table of ``docs/validation/missions.md``.
 Each joint of the right arm reads 1 mrad too much, and its hand holds 1 mm beside its place. The hand
 bears no share of the load (``contacts.right.share: 0``, no preload), so that its whole wrench is
 internal.

@@ -134,12 +134,15 @@ class SampledLoop:
         found = dict[Hashable, SampleMap]()
         indices = range(index, index + math.lcm(self.sample.period, own))
         kinds = [(self.sample.kind(each), each % own) for each in indices]
+        at = state
         for each, kind in zip(indices, kinds, strict=True):
-            if kind not in found:
+            passed = (each - index) % own
+            if passed == 0:
                 at = state
-                for earlier in range(index, index + (each - index) % own):
-                    at, _ = self.after(earlier, at, held)
+            if kind not in found:
                 found[kind] = self._map(each, at, truth)
+            if own > 1:
+                at, _ = self.after(index + passed, at, held)
         return tuple(found[kind] for kind in kinds)
 
     def _map(self, index: int, state: np.ndarray, truth: MassProperties | None) -> SampleMap:
