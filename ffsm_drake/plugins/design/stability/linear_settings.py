@@ -18,8 +18,8 @@ NOT_LINEAR = {"actuation": ("limit", "quantization"), "drives": ("rate_limit",)}
 
 
 def without_limits(mission: Mission) -> Scenario:
-    """The scenario without quantisation, barriers, supervisor, faults, plumes and rough effects, and
-    with the defaults of ``NOT_LINEAR``.
+    """The scenario without quantisation, barriers, supervisor, faults, plumes and rough effects,
+    and with the defaults of ``NOT_LINEAR``.
     """
     scenario, coordinates = mission.scenario, mission.craft.coordinates
     sensing = smooth_sensing(scenario, coordinates)
