@@ -29,7 +29,6 @@ _KEPT = 32  # codes
 _Codes = tuple[Step, Step]  # of a sample alone, and with its derivatives
 _codes = Recent[_Codes | NotCovered](_KEPT)
 _MOST = 1000  # numbers of a state
-_FRAME = 1000  # samples, each of which is linearised
 _LONGEST = 5000  # samples in a common period of the sensors
 
 
@@ -78,8 +77,6 @@ class TracedSample:
             raise NotCovered("sensors with a long common period")
         self.period = period
         self.latched_period = math.lcm(*(of.phase_period for of in blocks.parts.actuation.values()))
-        if self.latched_period > _FRAME:
-            raise NotCovered("a long thruster frame")
         self._phases = phases_at(blocks.parts, period)  # of each sample of a common period
         white, drift = blocks.row["noise"], blocks.row["drift_noise"]
         self.num_noise = white + drift

@@ -364,7 +364,6 @@ def test_every_setting_of_the_actuators_is_kept_or_named():
     st.integers(100, 1000),
 )
 @example("actuation.delay={}", 130)
-@example("actuation.thrusters={{layout: 12x5N, frame: {}}}", 1001)
 def test_a_loop_that_would_take_minutes_is_refused_by_its_size(key, samples):
     """Counts of states, of the period and of evaluations, at least one of them beyond its bound."""
     with pytest.raises(NotLinear, match="the linear loop is too large") as caught:
