@@ -89,6 +89,7 @@ BLOCKS: dict[str, Ports] = {
             "measurement_is_new": STATE,
             **dict.fromkeys(REPORTED_FORCES, VELOCITY),
             **dict.fromkeys(REPORTED_UNITS, UNITS),
+            WRENCH: WRENCHES,
         },
         outputs={"estimated_state": STATE},
         # 1: this control sample has a new measurement, 0: it repeats an earlier one. Without

@@ -398,6 +398,7 @@ class _Wiring:
         for system in forces:
             self._add_outputs(system, (WRENCH, JAM))
         self._connect_inputs(self._controller, *last)
+        self._connect_inputs(*self._stages, ports=(WRENCH,))
         on_hidden = [system for system in forces if system.HasOutputPort(hidden)]
         if self._split.names:
             acts = self._on_whole_plant(acts, [(system, hidden) for system in on_hidden])

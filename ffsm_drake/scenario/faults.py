@@ -144,8 +144,6 @@ class Faults:
                 "needs built-in sensing and actuation; remove blocks.sensing.sensing and "
                 "blocks.actuation",
             )
-        if scenario.undriven:
-            yield key, "needs all coordinates driven; set actuation.driven: [all]"
         for name, fault in self.events.items():
             if max(fault.time) > scenario.duration:
                 end = f"is after the end of the run, {scenario.duration:g} s"

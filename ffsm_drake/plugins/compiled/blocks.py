@@ -319,6 +319,7 @@ class Blocks(Structure):
         if self.detector is None:
             return {}
         made = self._whole(_LOOKED_AT | _IS_NEW) | laid("acted", self.acted)
+        made |= laid("shown_last", self.shown_last)
         if unknown := set(self.detector.inputs) - set(made):
             raise NotTraceable(f"{type(self.detector).__name__} with an input {min(unknown)}")
         return {name: made[name] for name in self.detector.inputs}

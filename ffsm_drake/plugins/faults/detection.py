@@ -20,6 +20,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from ffsm_drake.loop.blocks import WRENCH
 from ffsm_drake.plugins.faults.force_watch import ForceWatch
 from ffsm_drake.plugins.faults.known import EVERY, KINDS, units_of
 from ffsm_drake.plugins.faults.memory import HEAD, Memory
@@ -110,9 +111,9 @@ def _turns(run: View) -> dict[str, np.ndarray]:
 
 class Detector(ForceWatch, Sampled):
     """Inputs: those of the block; of actuators ``told_force`` (nv), and, where they have them,
-    ``gyroscopic_force`` (nv), ``told_units`` and ``wheel_momentum``. Outputs: the block's,
-    ``fault_detected``, ``abort_request``, and with thrusters or wheels ``isolated``, as found at
-    the sample before.
+    ``gyroscopic_force`` (nv), ``told_units`` and ``wheel_momentum``; of contacts that close loops,
+    ``measured_wrench``. Outputs: the block's, ``fault_detected``, ``abort_request``, and with
+    thrusters or wheels ``isolated``, as found at the sample before.
     """
 
     traced = False
@@ -124,7 +125,7 @@ class Detector(ForceWatch, Sampled):
         found = {
             "state": size, "told_force": nv, IS_NEW: size * self._may_be_old,
             "told_units": self._num_units, "gyroscopic_force": nv if wheels else 0,
-            "wheel_momentum": wheels,
+            "wheel_momentum": wheels, WRENCH: self._wrists.size,
         }  # fmt: skip
         return {name: number for name, number in found.items() if number}
 
@@ -183,7 +184,11 @@ class Detector(ForceWatch, Sampled):
         if self._wheels is not None:
             force = force + inputs["gyroscopic_force"]
             parts.append(inputs["wheel_momentum"])
-        parts.append(force)
+        pressed = np.zeros(self._nv * self._has_wrists)
+        if self._wrists.size:
+            at_wrists, pressed = self._wrists.along(inputs["state"][: self._nq], inputs[WRENCH])
+            force = force + at_wrists
+        parts += [force, pressed]
         if self._may_be_old:
             parts.append(inputs[IS_NEW])
         return np.concatenate(parts)

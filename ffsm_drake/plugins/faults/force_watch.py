@@ -12,6 +12,7 @@ from ffsm_drake.plugins.faults.memory import Memory
 from ffsm_drake.plugins.faults.motion_watch import MotionWatch
 from ffsm_drake.plugins.faults.wheel_watch import stopped
 from ffsm_drake.plugins.faults.windows import BATCH, slope_weights
+from ffsm_drake.plugins.faults.wrists import FADES
 
 
 class ForceWatch(MotionWatch):
@@ -27,6 +28,10 @@ class ForceWatch(MotionWatch):
         beyond, expected = self._changes(rows, before)
         left, now = np.diff(velocity, axis=0) - expected, velocity[1:]
         self._find_jumps(memory, left, rows[0, self._in["state"]], before)
+        if self._has_wrists:
+            memory.pressed *= np.exp(-size * self._step / FADES)
+            largest = rows[1:, self._in["pressed"]].max(axis=0)
+            memory.pressed[:] = np.maximum(memory.pressed, largest)
         moves = rows[1:, self._in["slip"]], rows[1:, self._in["moved"]]
         parts = left, *moves, 0.0 * now, step * told[1:, :count], step * told[:-1, count:], beyond
         sums = np.cumsum(np.vstack([memory.sums, np.hstack(parts)]), axis=0)[1:]

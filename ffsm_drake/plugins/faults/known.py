@@ -27,6 +27,7 @@ from ffsm_drake.plugins.faults.sensors import (
     sensors_of,
 )
 from ffsm_drake.plugins.faults.windows import BATCH
+from ffsm_drake.plugins.faults.wrists import Wrists
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import damping_of
@@ -70,7 +71,9 @@ class Known:
         self._nq, self._nv = len(coordinates.position_names), len(coordinates.names)
         # the nominal payload changes at a grasp
         held = setup.grip.carried(scenario.payload).nominal
-        self._leg = float(held.mass)
+        # and a hand that closes later changes the forces
+        self._wrists, self._has_wrists = Wrists(setup), len(scenario.contacts) > 1
+        self._leg = float(held.mass) + self._wrists.size
         factor = self._settings.payload_factor if setup.grip.holds else 1.0
         self._box = payload_error.intervals(held, factor)
         payload: tuple[Frame, np.ndarray] | None = None
@@ -147,6 +150,7 @@ class Known:
         # columns of a sample: state, commands, momenta and whether measurements are new; force,
         # slip and motion since the sample before
         widths = {"state": size, "told": self._num_units, "momentum": wheels, "force": nv}
+        widths |= {"pressed": nv * self._has_wrists}
         widths |= {"new": size * self._may_be_old, "slip": nv, "moved": nv}
         self._in = _columns(widths)
         width, units = self._at["beyond"].stop, len(self._joints) + count
@@ -160,6 +164,7 @@ class Known:
             "kept": (SPAN, width), "states": (SPAN // BATCH + 1, size),
             "against": (rows, units), "voted": (rows,), "agreed": (3,),
             "doubted": (2 + units,),
+            "pressed": (nv * self._has_wrists,),
             "grows": (len(SPANS) * self._is_flexible,),
             "grown": ((AGO // BATCH + 1) * self._is_flexible, len(SPANS), SIZE),
         }  # fmt: skip

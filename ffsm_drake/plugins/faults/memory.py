@@ -54,7 +54,7 @@ class Memory(SimpleNamespace):
     looks there were ``tries``. Samples of this ``leg``, which the payload's mass tells. ``rows``:
     the last sample before a batch, then a ``count`` of its samples, of which some are ``done``.
     Those before the ``limit`` may wait, if their slips are below ``room``. ``rough``: mean square
-    of unexplained changes; whether the last sample ``jumped``.
+    of unexplained changes; whether the last sample ``jumped``. ``pressed``: force of wrists.
 
     A small array is a view of ``own``, a vector: it is written into, never replaced.
     """

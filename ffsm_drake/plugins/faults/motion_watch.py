@@ -103,6 +103,9 @@ class MotionWatch(SensorWatch):
         """What the middles of windows tell."""
         middle = -1 - means.middle
         _, inverse, bound, pushes, payload = self._at_middles(memory, means.middle)
+        if self._wrists.size:
+            q, samples = memory.states[-1, : self._nq], EVERY * means.window
+            bound = bound + self._wrists.error(q, memory.pressed, samples)
         moved = memory.kept[:, self._at["moved"]]
         turns = np.abs(moved[-1 - means.ago] - moved[-means.window - means.ago])
         turns[:, 3:NUM_BASE_VELOCITIES] = 0.0

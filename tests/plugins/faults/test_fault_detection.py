@@ -233,3 +233,13 @@ def test_a_step_depends_on_its_memory_alone():
         waited += found[0][1]["kept"] is memory["kept"]
         memory = found[0][1]
     assert 60 < waited < 90
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("driven", ["[joints]", "[base_rotation, joints]"])
+def test_an_undriven_base_has_no_force(driven):
+    """No alarm, and a jam is named, in the whole model."""
+    given = f"actuation.driven={driven}"
+    assert noticed(run("free_floating", None, None, given, duration=2.0)) == {}
+    log = run("free_floating", "joints.joint_2", "jammed", given, time=1.2, duration=2.5)
+    assert noticed(log) == {"joints.joint_2": "jammed"}

@@ -217,7 +217,6 @@ def test_a_wrong_name_shows_before_anything_takes_time(monkeypatch, ask, unit):
     [
         (NAME, {"events": {"it": {"time": [3.0, 1.0]}}}, "must not end before it begins"),
         (NAME, {"events": {"it": {"time": [1e4]}}}, "is after the end of the run"),
-        ("free_floating", {}, "needs all coordinates driven"),
     ],
 )
 def test_refused(name, faults, said):

@@ -52,8 +52,7 @@ REFUSED = {
         ),
         ({"supervisor": "supervisor", "motion": "frame"}, ("supervisor", "reference.frame")),
         *(
-            ({part: value, "driven": driven}, (part, "actuation.driven"))
-            for part, value in (("supervisor", "supervisor"), ("faults", "detection"))
+            ({"supervisor": "supervisor", "driven": driven}, ("supervisor", "actuation.driven"))
             for driven in _UNDRIVEN
         ),
         ({"law": "task-space law", "command": "design"}, ("task_time_delay", "gains are designed")),
