@@ -74,8 +74,8 @@ class Compiled(Engine):
         """See Engine."""
         scenario = mission.scenario
         self.check(scenario)
-        if scenario.approach is not None or scenario.contacts:
-            raise NotCovered("capture.approach or contacts under actions")
+        if scenario.approach is not None or closing_times(scenario)[1:]:
+            raise NotCovered("capture.approach or contacts that close later under actions")
         trial = mission.flown_by(duration=min(scenario.duration, _TRIAL))
         run = Run(trial, law=factory)
         if scenario.supervisor is not None or detects(scenario):

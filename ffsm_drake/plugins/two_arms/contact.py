@@ -66,12 +66,10 @@ class Contacts(Part):
         return ContactForce(setup)
 
     def flow(self, setup: BlockSetup) -> ContactFlow | None:
-        """The force for compiled runs; None with flexible parts, springs or noise."""
-        is_plain = all(
-            each.kind == "rigid" and not (each.moment_noise or each.force_noise)
-            for each in closing_contacts(setup.scenario, setup.grip).values()
-        )
-        return contact_flow(setup) if is_plain and not setup.scenario.model.flexible else None
+        """The force for compiled runs; None with noise."""
+        contacts = closing_contacts(setup.scenario, setup.grip).values()
+        is_noisy = any(each.moment_noise or each.force_noise for each in contacts)
+        return None if is_noisy else contact_flow(setup)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """Wrench on the target and gap of each contact."""

@@ -325,6 +325,15 @@ def test_a_second_try_has_the_run_of_drake():
     ).keys()
 
 
+_PANEL = {"position": [0, 1, 0], "direction": [0, 1, 0], "mass": 8.0, "frequency": 0.25}
+# What bends: nothing, a panel, a contact; it needs the plain law.
+SOFT = (
+    [],
+    [{"model": {"flexible": {"port": _PANEL}}}],
+    ["contacts.right.kind=compliant", "simulator_config.max_step_size=0.001", "chain.law=plain"],
+)
+
+
 def closed_chains(random):
     """Two hands on one target, with errors of their calibration; the mass of the target by run."""
     name = str(random.choice(["two_arms", "two_arms_capture", "tohoku_arms"]))
@@ -337,6 +346,8 @@ def closed_chains(random):
     given += [str(random.choice(["chain.law=plain", "chain.force=null", pressed]))]
     given.append(f"controller={random.choice(IN_CHAIN)}")
     given.append(f"estimator.kind={random.choice(['one_sample', 'kalman', 'coupled'])}")
+    if name != "tohoku_arms":
+        given += SOFT[random.integers(len(SOFT))]
     return name, given, [[f"payload.truth.mass={mass}"] for mass in (80.0, 100.0, 120.0)]
 
 

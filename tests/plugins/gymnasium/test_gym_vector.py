@@ -57,7 +57,7 @@ LAWS = ("tvlqr", "tdc", "tde_aismc", "pd_plus", "computed_torque", "aismc", "sup
 SCENARIOS = (
     "postcapture", "free_floating", "flight_sensors", "slow_navigation", "flexible_panels",
     "seven_joint", "planar_detumble", "envisat", "reaction_null", "ets_vii", "paper",
-    "thrusters_only", "thrusters_and_wheels",
+    "thrusters_only", "thrusters_and_wheels", "two_arms",
 )  # fmt: skip
 
 
@@ -65,6 +65,8 @@ def drawn(random):
     """An environment's scenario, its other arguments, and the largest action."""
     name = str(random.choice(SCENARIOS))
     given = [f"duration={random.choice([0.05, 0.12, 0.4])}"]
+    if name == "two_arms":  # an action is a force on every coordinate
+        given.append("chain.law=plain")
     diverges = bool(random.integers(2))
     if diverges:
         start = max(map(abs, load_scenario(name).initial_velocity.values()), default=0.0)
