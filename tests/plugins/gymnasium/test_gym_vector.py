@@ -136,6 +136,15 @@ def test_compiled_copies_are_those_of_drake(seed):
     several(np.random.default_rng(seed), 1)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("settings", [{"action": "force"}, {"action": "residual", "law": "tdc"}])
+def test_two_hands_on_the_target_are_those_of_drake(settings):
+    pytest.importorskip("llvmlite", reason="needs llvmlite, an extra")
+    scenario = load_scenario("two_arms", ["duration=0.12", "chain.law=plain"])
+    settings = {**settings, "samples_per_step": 3}
+    assert_like_drake(np.random.default_rng(0), scenario, settings, 0.05)
+
+
 @pytest.mark.long
 def test_many_compiled_copies_are_those_of_drake():
     several(np.random.default_rng(0), 10 * DRAWS)
