@@ -96,6 +96,7 @@ class Hands(Postures):
         self.rest = np.round(self.rest, 3)
         self._random = np.random.default_rng(0)
         self._drawings = self._steps = self._ways = self._motions = 0  # done so far
+        self._problem = ""  # of the last motion
         # directions of the second hand's twist in the target's frame that postures can move
         parts = list[np.ndarray]()
         for _ in range(4):
@@ -153,7 +154,7 @@ class Hands(Postures):
                     return True
         draft.touching = (
             f"'{names}' cannot move the target{cube} together: none of {self._ways} motions tried "
-            "is within the reach and limits of both arms"
+            f"is within the reach and limits of both arms{self._problem}"
         )
         return False
 
@@ -290,10 +291,12 @@ class Hands(Postures):
             try:
                 mission = self._opened(closed) if draft.asked.has_approach else draft.mission
                 motion = make_motion(mission)
-            except ScenarioError:
+            except ScenarioError as error:
+                self._problem = f"; the last one: {error}"
                 continue
             rows = motion.rows(np.linspace(0.0, motion.end, _INSTANTS))
             if not self._is_within(rows[:, NUM_BASE_POSITIONS : NUM_BASE_POSITIONS + n]):
+                self._problem = "; in the last one, a joint leaves its limits"
                 continue
             near = min((each.distance for each in plan_clearance(mission)), default=np.inf)
             if best is None or near > best[0]:
@@ -326,8 +329,9 @@ class Hands(Postures):
             if min(self._distance(each) for each in joints) < 0.0:
                 continue
             open_capture(draft, *(self.by_name(np.round(each, 4)) for each in joints))
+            unsized = {**draft.data["actuation"], "wheels": None}  # wheels are sized later
             try:
-                plan_clearance(mission := draft.mission)
+                plan_clearance(mission := Mission(draft.with_sections(actuation=unsized)))
             except ScenarioError as error:
                 problem = error
             else:
