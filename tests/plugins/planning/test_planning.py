@@ -265,12 +265,6 @@ def test_what_cannot_be_planned_is_named(override, said):
         plan_motion(load_scenario("planar_detumble", [override, *QUICK]))
 
 
-@pytest.mark.parametrize("name", ["two_arms", "two_arms_capture", "tohoku_arms"])
-def test_two_hands_on_the_target_get_one_line(name):
-    with pytest.raises(ScenarioError, match="contacts: a plan is for one hand on the target"):
-        plan_motion(load_scenario(name))
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
