@@ -125,7 +125,7 @@ def test_a_leg_ends_with_the_measurement_and_state_of_drake(name):
         found["measured"] = loop.diagram.GetOutputPort("estimated_state").Eval(context).copy()
         found["x"] = loop.whole_state(context)
 
-    rollout = Rollout(run.scenario)
+    rollout = Rollout(run.scenario, grip=run.case.nominal.grip)
     for samples in (1, 7):
         rollout.run(run.scenario, leg=Leg(last=samples, end=end))
         (leg,) = kernel.leg([run.parameters], [LaneState(run.states)], [run.rows], samples)
