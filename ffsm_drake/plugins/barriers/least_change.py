@@ -20,6 +20,7 @@ _ENOUGH = 1e-10  # mean product of room and multiplier, in the units of the scal
 _CENTRED, _SHARE = 0.1, 0.99  # of that product; of the way to the nearest limit
 _FAR, _PENALTY = 1e3, 1e4  # a limit that counts as none; k; of the scaled problem
 _START = 2.0  # slack at the start
+_ROUNDING = 1e-14  # share of its diagonal that keeps the system regular
 
 
 def least_change(
@@ -74,7 +75,10 @@ def _round(state: Mapping[str, Any], fixed: Mapping[str, Any]) -> Mapping[str, A
     product = room * multiplier - _CENTRED * gap
     weighted = rows * (multiplier / room)[:, None]
     right = rows.T @ ((product - multiplier * primal) / room) - dual
-    change = np.linalg.solve(curvature + rows.T @ weighted, right)
+    system = curvature + rows.T @ weighted
+    # no direction is lost beside one with a limit so near that its weight exceeds 1 / rounding
+    system = system + _ROUNDING * np.eye(len(point)) * np.diagonal(system)
+    change = np.linalg.solve(system, right)
     of_room = -primal - rows @ change
     of_multiplier = -(product + multiplier * of_room) / room
     share = np.minimum(_step(room, of_room), _step(multiplier, of_multiplier))

@@ -88,3 +88,18 @@ def test_the_joint_with_less_inertia_gives_way():
     x, _ = least_change(mass, -far, np.array([-1.0, np.inf]), -far, far)
     np.testing.assert_allclose(x, [-1.0, 0.5], atol=1e-8)
     assert abs((mass @ x)[1]) < 1e-7
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_force_without_room_has_an_answer(seed):
+    """Where its lowest and highest value are equal, rounding can make a system singular."""
+    random = np.random.default_rng(seed)
+    for _ in range(150):
+        mass, low, high, down, up, _ = drawn(random)
+        scale = 10.0 ** random.uniform(-6, 6)
+        down[np.isinf(down)], up[np.isinf(up)] = -np.diagonal(mass)[0], np.diagonal(mass)[0]
+        down[0] = up[0]
+        given = (each * scale for each in (low, high, down, up))
+        change, slack = least_change(mass, *given)
+        assert np.isfinite(change).all()
+        assert np.isfinite(slack).all()
