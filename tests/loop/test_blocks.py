@@ -369,7 +369,7 @@ class WithPorts(LeafSystem):
         (
             "sensing",
             {"inputs": [("stat", 23)]},
-            "unknown input port 'stat'; known: state, true_state, measurement_is_new and 4 "
+            "unknown input port 'stat'; known: state, true_state, measurement_is_new and 5 "
             "more; did you mean 'state'?",
         ),
         (

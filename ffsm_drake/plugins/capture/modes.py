@@ -2,7 +2,7 @@
 
 import dataclasses
 import enum
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -57,9 +57,6 @@ class Cause(enum.IntEnum):
 class SupervisedChain(Protocol):
     """The closed chain of several hands, for a supervisor."""
 
-    def __init__(self, setup: BlockSetup) -> None:
-        """Args: the setup of the supervisor."""
-
     def kept(self) -> Any:
         """Return what keeps the internal force of a law that starts anew: it has a ``size`` and
         ``step(q, mass_matrix, commands, wrenches, begins, goes_on)``, which returns wrenches and
@@ -74,7 +71,7 @@ class SupervisedChain(Protocol):
 
 
 # "contacts"
-SUPERVISED_CHAINS = Registry[type[SupervisedChain]]("supervised_chains")
+SUPERVISED_CHAINS = Registry[Callable[[BlockSetup], SupervisedChain]]("supervised_chains")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -43,10 +43,11 @@ class JammedJoints(BreakingPart):
         model = setup.craft.flexible(setup.grip)
         return Jam(model=model, craft=setup.craft, joints=self.joints(setup))
 
-    def joints(self, setup: BlockSetup) -> "Jammed":
+    @staticmethod
+    def joints(setup: BlockSetup) -> "Jammed":
         """The joints, and when they jam."""
         scenario, coordinates, step = setup.scenario, setup.coordinates, setup.sample_time
-        found = hits(scenario, self.fails_as)
+        found = hits(scenario, JammedJoints.fails_as)
         jammed = [name for name in coordinates.joints if name in {hit.unit for hit in found}]
         split, nv = setup.craft.split, len(coordinates.names)
         entries = [NUM_BASE_VELOCITIES + coordinates.joints.index(name) for name in jammed]
@@ -58,6 +59,11 @@ class JammedJoints(BreakingPart):
             lasts=step * np.array([float(hit.occurs.samples) for hit in found]),
             period=step * np.array([float(hit.occurs.period) for hit in found]),
         )
+
+
+def jammed_joints(setup: BlockSetup) -> "Jammed | None":
+    """Return the joints that jam, for the contacts that close loops; None: none does."""
+    return None if JammedJoints.of(setup.scenario) is None else JammedJoints.joints(setup)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -5,6 +5,7 @@ PLUGIN = Plugin(
     page="faults",
     needs=("actuators", "estimators"),
     brings={
+        "jammed_joints": {"jam": "faults.jam:jammed_joints"},
         "sections": {
             "forces.jam": "faults.jam:JammedJoints",
             "sensing.detection": "faults.detection:FaultDetection",

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.common.registrations import Registry
 from ffsm_drake.loop.blocks import JAM, WRENCH
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Constraints
 from ffsm_drake.plugins.two_arms.constraint_solve import solved
@@ -14,7 +15,6 @@ from ffsm_drake.scenario.contacts import Contact
 from ffsm_drake.spacecraft.coordinates import halves
 from ffsm_drake.spacecraft.craft import Craft
 from ffsm_drake.systems.continuous import Continuous
-from ffsm_drake.systems.registry import PARTS
 from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -30,6 +30,9 @@ CLOSING_UNITS = {
     "rate": "rad/s",
     "speed": "m/s",
 }
+
+# "jam": the joints that jam; None: none does
+JAMMED_JOINTS = Registry[Callable[[BlockSetup], Any]]("jammed_joints")
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -175,9 +178,8 @@ def contact_flow(setup: BlockSetup) -> ContactFlow:
 
 def _jammed(setup: BlockSetup) -> Any:
     """The joints that jam; None if none does."""
-    kind: Any = PARTS.find("forces.jam")
-    part = None if kind is None else kind.of(setup.scenario)
-    return None if part is None else part.joints(setup)
+    found = JAMMED_JOINTS.find("jam")
+    return None if found is None else found(setup)
 
 
 def _stiffness(contact: Contact) -> list[float]:
