@@ -208,8 +208,10 @@ class Supervising(Sampled):
         memory: Arrays,
         restart: np.ndarray,
     ) -> dict[str, np.ndarray]:
-        """The force between hands after a sample, in the memory. Args: configuration and mass
-        matrix; the law's force at the sample before, within the limits and without; ...
+        """The force between hands after a sample, in the memory.
+
+        Args: configuration and mass matrix; the law's force at the sample before, within the limits
+        and without; the memory before; whether the law starts anew at the next sample (1).
         """
         was_anew = memory["restart"] != 0.0  # the law reads it at the sample after
         begins, goes_on = (restart != 0.0) & ~was_anew, was_anew & (memory["forgot"] != 0.0)
