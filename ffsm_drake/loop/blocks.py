@@ -61,7 +61,8 @@ READ_BY_FORCES = {"thruster_force": "n", "stored_momentum": "3"}
 REPORTED_FORCES = (TOLD, "gyroscopic_force")
 REPORTED_UNITS = ("told_units", "wheel_momentum")
 ISOLATED = "isolated"
-HIDDEN_STATE, HIDDEN = "2 nh", "nh"  # nh: number of hidden coordinates (``model.flexible``)
+# nh: number of hidden coordinates (``model.flexible``)
+HIDDEN_STATE, HIDDEN, WHOLE_VELOCITY = "2 nh", "nh", "nv + nh"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -136,11 +137,11 @@ BLOCKS: dict[str, Ports] = {
     ),
     "forces": Ports(
         outputs={"generalized_force": VELOCITY},
-        # the sum of all forces but those that read it
+        # ``other_force``: the sum of all forces but those that read it, along the plant's own v
         optional_inputs={
             "state": STATE,
             "hidden_state": HIDDEN_STATE,
-            "other_force": VELOCITY,
+            "other_force": WHOLE_VELOCITY,
             JAM: VELOCITY,
             **READ_BY_FORCES,
         },

@@ -392,16 +392,21 @@ class _Wiring:
         added = [self._signals[name] for name in ADDED_FORCES if name in self._signals]
         others = [(system, own) for system in forces if system not in last]
         acts = self._sum("total_force", [self.sources["applied_force"], *others, *added])
+        on_hidden = [system for system in forces if system.HasOutputPort(hidden)]
+        at_hidden = [(system, hidden) for system in on_hidden if system not in last]
+        acts = self._on_whole_plant("total", acts, at_hidden)
         if last:
             self._signals["other_force"] = acts
-            acts = self._sum("last_force", [acts, *((system, own) for system in last)])
+            terms = [acts]
+            for system in last:
+                at_hidden = [(system, hidden)] * (system in on_hidden)
+                name = system.get_name()
+                terms.append(self._on_whole_plant(name, (system, own), at_hidden))
+            acts = self._sum("last_force", terms)
         for system in forces:
             self._add_outputs(system, (WRENCH, JAM))
         self._connect_inputs(self._controller, *last)
         self._connect_inputs(*self._stages, ports=(WRENCH,))
-        on_hidden = [system for system in forces if system.HasOutputPort(hidden)]
-        if self._split.names:
-            acts = self._on_whole_plant(acts, [(system, hidden) for system in on_hidden])
         self._builder.Connect(_port(acts), self._plant.get_applied_generalized_force_input_port())
         now = {
             name: _at_once(system, own)
@@ -456,13 +461,15 @@ class _Wiring:
         self._builder.Connect(port, hold.get_input_port())
         return _output(hold)
 
-    def _on_whole_plant(self, acts: Source, on_hidden: list[Source]) -> Source:
+    def _on_whole_plant(self, name: str, acts: Source, on_hidden: list[Source]) -> Source:
         """Combine a force on the known coordinates with forces on hidden coordinates."""
-        terms = [self._along("known_force", acts, self._split.known)]
+        if not self._split.names:
+            return acts
+        terms = [self._along(f"{name}_known_force", acts, self._split.known)]
         if on_hidden:
-            total = self._sum("total_hidden_force", on_hidden)
-            terms.append(self._along("hidden_force", total, self._split.hidden))
-        return self._sum("whole_force", terms)
+            total = self._sum(f"{name}_hidden_sum", on_hidden)
+            terms.append(self._along(f"{name}_hidden_force", total, self._split.hidden))
+        return self._sum(f"{name}_whole_force", terms)
 
     def _along(self, name: str, force: Source, entries: np.ndarray) -> Source:
         """Return a force along some of the plant's velocities as one along all."""

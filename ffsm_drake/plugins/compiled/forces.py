@@ -142,16 +142,17 @@ class Forces(Instant):
         """Outputs of the last forces."""
         if not self.blocks.parts.last:
             return []
-        force = others[list(self.blocks.forced)]
-        signals = self.states(x) | {"other_force": force, "time": traced([time])}
+        signals = self.states(x) | {"time": traced([time])}
         corrections, _ = parted(self.cells.corrected, zeros(self.blocks.corrects))
-        found = list[dict[str, np.ndarray]]()
-        for name, block in self.parts.last.items():
-            inputs = signals | {"correction": corrections.get(name)}
-            outputs, _ = block.flow(read(block, inputs), {})
-            found.append({each: traced(values) for each, values in outputs.items()})
-            signals |= found[-1]
-        return found
+        last, found = self.parts.last, dict[str, dict[str, np.ndarray]]()
+        for name in sorted(last, key=lambda name: "other_force" in last[name].inputs):
+            inputs = signals | {"other_force": others, "correction": corrections.get(name)}
+            outputs, _ = last[name].flow(read(last[name], inputs), {})
+            found[name] = {each: traced(values) for each, values in outputs.items()}
+            signals |= found[name]
+            if "other_force" not in last[name].inputs:
+                others = self._along(others.copy(), found[name])
+        return [found[name] for name in last]
 
     def _corrections(self) -> list[np.ndarray]:
         """What the last forces correct from a sample on."""

@@ -39,7 +39,7 @@ class JammedJoints(BreakingPart):
     def build(self, setup: BlockSetup) -> "Jam | SolvedJam":
         """The force of the jam. Contacts that close loops compute it with their own."""
         if closing_contacts(setup.scenario, setup.grip):
-            return SolvedJam(size=len(setup.coordinates.names))
+            return SolvedJam(size=len(setup.coordinates.names), hidden=len(setup.split.names))
         model = setup.craft.flexible(setup.grip)
         return Jam(model=model, craft=setup.craft, joints=self.joints(setup))
 
@@ -97,15 +97,16 @@ class Jammed:
 class SolvedJam(Continuous):
     """The force on jammed joints where contacts close loops: one solve gives both.
 
-    Inputs: ``other_force`` and ``jam_force`` (nv). Output: ``generalized_force`` (nv).
+    Inputs: ``other_force`` (plant's nv), ``jam_force`` (nv). Output: ``generalized_force`` (nv).
     """
 
     size: int  # nv
+    hidden: int  # number of hidden coordinates
 
     @property
     def inputs(self) -> Mapping[str, int]:
         """See Continuous."""
-        return dict.fromkeys(("other_force", JAM), self.size)
+        return {"other_force": self.size + self.hidden, JAM: self.size}
 
     @property
     def outputs(self) -> Mapping[str, int]:
@@ -125,8 +126,8 @@ class Jam(Continuous):
     It acts between two links and is finite, so the total momentum is conserved as a jam begins,
     lasts and ends, and no velocity jumps. The joint is at rest as a jam ends.
 
-    Inputs: ``state`` (nq + nv), ``hidden_state``, ``other_force`` (nv), ``time``. Output:
-    ``generalized_force`` (nv).
+    Inputs: ``state`` (nq + nv), ``hidden_state``, ``other_force`` (plant's nv),
+    ``time``. Output: ``generalized_force`` (nv).
     """
 
     model: PlantModel
@@ -137,7 +138,8 @@ class Jam(Continuous):
     def inputs(self) -> Mapping[str, int]:
         """See Continuous."""
         nv, hidden = len(self.model.coordinates.names), len(self.model.split.names)
-        sizes = {"state": 2 * nv + 1, "hidden_state": 2 * hidden, "other_force": nv, "time": 1}
+        sizes = {"state": 2 * nv + 1, "hidden_state": 2 * hidden, "time": 1}
+        sizes["other_force"] = nv + hidden
         return {name: size for name, size in sizes.items() if size}
 
     @property
@@ -152,16 +154,16 @@ class Jam(Continuous):
     def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
         """See Continuous."""
         joints, are_held = self.joints.at(inputs["time"])
-        if not may_be(are_held):
-            return {"generalized_force": np.zeros_like(inputs["other_force"])}, {}
-        force = self.model.split.known_velocities(joints @ self._along(inputs, joints, are_held))
-        return {"generalized_force": force}, {}
+        force = 0.0 * inputs["other_force"]
+        if may_be(are_held):
+            force = joints @ self._along(inputs, joints, are_held)
+        return {"generalized_force": self.model.split.known_velocities(force)}, {}
 
     def _along(self, inputs: Arrays, joints: np.ndarray, are_held: Any) -> np.ndarray:
         """The force (n) along joints that are jammed, or may be."""
         model, split = self.model, self.model.split
         q, v = halves(split.whole(inputs["state"], inputs.get("hidden_state")))
-        acceleration = model.calc_acceleration(q, v, split.whole_velocities(inputs["other_force"]))
+        acceleration = model.calc_acceleration(q, v, inputs["other_force"])
         inverse = joints.T @ np.linalg.solve(model.calc_mass_matrix(q), joints)
         without = np.eye(len(are_held))
         inverse = np.where(are_held[:, None], np.where(are_held, inverse, without), without)

@@ -230,7 +230,7 @@ def _last(run: View) -> int:
 class ContactForce(CompositeBlock):
     """The force of the contacts, which close loops of the plant's tree.
 
-    Inputs: ``state`` (nq + nv), ``hidden_state``, ``other_force`` (nv). Outputs:
+    Inputs: ``state`` (nq + nv), ``hidden_state``, ``other_force`` (plant's nv). Outputs:
     ``generalized_force`` (nv), ``contact_wrench`` (on the target), ``contact_gap`` and
     ``measured_wrench`` (the wrench with the noise of the wrists' sensors; 6 for each contact).
     """

@@ -64,15 +64,16 @@ class ContactFlow(Constraints, Continuous):
     def inputs(self) -> Mapping[str, int]:
         """See Continuous."""
         nv, hidden = self.model.coordinates.num_velocities, len(self.model.split.names)
-        sizes = {"state": 2 * nv + 1, "hidden_state": 2 * hidden, "other_force": nv}
+        sizes = {"state": 2 * nv + 1, "hidden_state": 2 * hidden, "other_force": nv + hidden}
         sizes |= {"correction": self.rigid.size, "time": int(self.jammed is not None)}
         return {name: size for name, size in sizes.items() if size}
 
     @property
     def outputs(self) -> Mapping[str, int]:
         """See Continuous."""
-        nv = self.model.coordinates.num_velocities
+        nv, hidden = self.model.coordinates.num_velocities, len(self.model.split.names)
         shown = dict.fromkeys((WRENCHES, GAP, WRENCH), 6 * len(self.closures))
+        shown |= {"hidden_force": hidden} if hidden else {}
         late = {CLOSING: self.ledger.size - 1, LOSS: 1} if self.ledger.size else {}
         late |= {} if self.jammed is None else {JAM: nv}
         return {"generalized_force": nv, **shown, **late}
@@ -97,14 +98,15 @@ class ContactFlow(Constraints, Continuous):
         """See Continuous."""
         split, (q, v) = self.model.split, self._split(inputs)
         A, gap = self.jacobian(q), self.gap(q)
-        force, multipliers = split.whole_velocities(inputs["other_force"]), 0.0 * gap
+        force, multipliers = inputs["other_force"], 0.0 * gap
         if self.soft.size:
             multipliers[self.soft] = -(self.stiffness @ gap + self.damping @ (A @ v))
             force = force + multipliers @ A
         multipliers[self.rigid], jam = self._solved(inputs, A, force)
         wrench = -self.wrench(multipliers)  # on the target
+        force = multipliers @ A
         return {
-            "generalized_force": split.known_velocities(multipliers @ A),
+            "generalized_force": split.known_velocities(force), "hidden_force": force[split.hidden],
             WRENCHES: wrench, GAP: self.wrench(gap), WRENCH: wrench,
             CLOSING: self.ledger[:-1], LOSS: self.ledger[-1:], JAM: split.known_velocities(jam),
         }, {}  # fmt: skip

@@ -5,6 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 import two_arms_oracle as oracle
+from c_code import needs_llvm
+from entry_points import needs
 from numpy.testing import assert_allclose
 
 from ffsm_drake import (
@@ -196,6 +198,48 @@ def test_a_flexible_panel_leaves_the_loop_closed() -> None:
     run = simulate(given, check_stability=False)
     assert run.metrics["contacts"]["gap"] < 1e-9
     assert np.abs(run.dataset["hidden_position"].values).max() > 1e-8
+
+
+def with_gear(joint: str, duration: float, forces: dict[str, object]) -> Scenario:
+    """Two arms, one with a gear that bends."""
+    gear = {"kind": "gear", "joint": joint, "stiffness": 1e5, "damping_ratio": 0.01}
+    return scenario(
+        f"duration={duration}",
+        "controller=computed_torque",
+        "simulator_config.max_step_size=0.002",
+        "actuation.drives={rotor_inertia: {joints: 1.0e-4}, gear_ratio: {joints: 100}}",
+        {"model": {"flexible": {"gear": gear}}, **forces},
+    )
+
+
+# forces on the deflection beside its spring
+BACKLASH = {"effects": {"backlash": {"gap": {"gear": 1e-6}}}}
+ORBIT = {"environment": {"altitude": 5e5}}
+
+
+@pytest.mark.parametrize("forces", [{}, BACKLASH, ORBIT], ids=("spring", "backlash", "orbit"))
+@pytest.mark.parametrize("joint", ["left_2", "right_3"])
+def test_a_flexible_gear_leaves_the_loop_closed(joint: str, forces: dict[str, object]) -> None:
+    """The contact also acts on the link behind the gear, and takes all forces on it as others."""
+    given = with_gear(joint, 0.5, forces)
+    run = simulate(given, check_stability=False, blocks={"controller": Push})
+    assert run.metrics["contacts"]["gap"] < 1e-9
+    assert np.abs(run.dataset["hidden_position"].values).max() > 1e-8
+
+
+@needs("compiled")
+@needs_llvm
+@pytest.mark.slow
+@pytest.mark.parametrize("joint", ["left_2", "right_3"])
+def test_a_flexible_gear_in_the_loop_is_compiled(joint: str) -> None:
+    given = with_gear(joint, 0.5, BACKLASH | ORBIT)
+    drake, compiled = (
+        simulate(given, check_stability=False, engine=engine) for engine in ("drake", "compiled")
+    )
+    assert compiled.engine == "compiled"
+    for name in ("position", "hidden_position", "contact_wrench"):
+        found, expected = (run.dataset[name].values for run in (compiled, drake))
+        assert_allclose(found, expected, rtol=0, atol=1e-9 * max(1.0, np.abs(expected).max()))
 
 
 def test_one_contact_is_the_weld_of_the_model() -> None:
