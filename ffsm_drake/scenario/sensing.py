@@ -74,7 +74,7 @@ class Estimator:
     )
     delay: int | None = in_samples(
         None,
-        "assumed age of the measurements, from which kalman predicts the present state; null: "
+        "assumed age of the measurements, from which the filter predicts the present state; null: "
         "``sensing.delay``",
     )
 

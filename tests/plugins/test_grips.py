@@ -14,6 +14,7 @@ from ffsm_drake.common.memo import content_of
 from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.compiled.case import case_of
 from ffsm_drake.plugins.estimators import coupled
+from ffsm_drake.plugins.estimators.filter_gains import SensedAxis
 from ffsm_drake.plugins.planning import tvlqr
 from ffsm_drake.scenario import EMPTY, HELD, checked
 from ffsm_drake.systems.controllers import make_law
@@ -41,15 +42,8 @@ def _gains_of(scenario, grip):
 
 
 def _gains_along(scenario, grip):
-    noise = np.full(8, 1e-3)
-    noises = {
-        "position_noise": noise,
-        "velocity_noise": noise,
-        "walk": noise,
-        "bias_walk": 0.0 * noise,
-    }
-    axes = np.array([0, 1, 2, 6, 7, 8, 9, 10])
-    return coupled._gains_along(make_mission(scenario), grip, axes=axes, **noises)[1][:1]
+    axes, sensed = np.array([0, 1, 2, 6, 7, 8, 9, 10]), (SensedAxis(1e-3, 1e-3, 1e-3),) * 8
+    return coupled._gains_along(make_mission(scenario), grip, axes=axes, sensed=sensed)[1].gains[:1]
 
 
 def _case_of(scenario, grip):

@@ -18,8 +18,8 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.mission import Mission, planned
-from ffsm_drake.plugins.estimators.assumed_noise import assumed_noise, sensed_axes
-from ffsm_drake.plugins.estimators.filter_gains import coupled_gain
+from ffsm_drake.plugins.estimators.assumed_noise import sensed_axes
+from ffsm_drake.plugins.estimators.filter_gains import SensedAxis, SensedGains, sensed_gains
 from ffsm_drake.plugins.estimators.kalman import (
     KalmanEstimator,
     LateKalmanEstimator,
@@ -51,8 +51,9 @@ class CoupledEstimator(Estimator):
     separate: KalmanEstimator | LateKalmanEstimator
     axes: np.ndarray  # (n,) the coordinates that are taken together
     biased: np.ndarray  # (k,) those of them whose velocities have a bias
-    # postures (m, nq) of the gains, and gains (m, 3 n + k, 2 n): correction of [e, e', f, b] per
-    # unit of innovation of [e, e']
+    kinds: np.ndarray  # (k, 2 n) the new measurements of [e, e'] that occur together
+    # postures (m, nq) of the gains, and gains (m, k, size, 2 n): correction of [e, e', f, b, past]
+    # per unit of innovation of [e, e']
     postures: np.ndarray
     gain: np.ndarray
 
@@ -66,34 +67,31 @@ class CoupledEstimator(Estimator):
     ) -> Self:
         scenario = mission.scenario
         sensed = sensed_axes(scenario, coordinates)
-        if not all(axis.is_prompt for axis in sensed) or len(set(sensed[:3])) > 1:
+        if len(set(sensed[:3])) > 1:
             raise ScenarioError(
                 "estimator.kind",
-                "coupled needs sensors without delay or longer periods, and one noise and walk for "
-                "the base's three axes; set kalman",
+                "coupled needs one noise and walk for the base's three axes; set kalman",
             )
         axes = np.flatnonzero([group != "base_position" for group in coordinates.group_of])
-        position, velocity = assumed_noise(scenario, coordinates)
         walk = coordinates.vector(scenario.estimator.force_walk, key="estimator.force_walk")
-        bias_walk = np.array([axis.bias_walk for axis in sensed])
-        postures, gain = _gains_along(
-            mission,
-            grip,
+        together = [dataclasses.replace(sensed[i], walk=float(walk[i])) for i in axes]
+        postures, (kinds, gain) = _gains_along(mission, grip, axes=axes, sensed=tuple(together))
+        bias = np.array([axis.bias_walk for axis in together])
+        unbiased = 3 * axes.size + np.flatnonzero(bias == 0.0)
+        return cls(
+            separate=KalmanEstimator.make(mission, coordinates, None, grip),
             axes=axes,
-            position_noise=position[axes],
-            velocity_noise=velocity[axes],
-            walk=walk[axes],
-            bias_walk=bias_walk[axes],
+            biased=axes[bias > 0.0],
+            kinds=kinds,
+            postures=postures,
+            gain=np.delete(gain, unbiased, axis=-2),
         )
-        separate = KalmanEstimator.make(mission, coordinates, None, grip)
-        biased = axes[bias_walk[axes] > 0.0]
-        return cls(separate=separate, axes=axes, biased=biased, postures=postures, gain=gain)
 
     def initial_state(self) -> State:
         return {**self.separate.initial_state(), "estimated_force": np.zeros(self.axes.size)}
 
     def gain_at(self, q_d: np.ndarray) -> np.ndarray:
-        """Return the gain (..., 3 n + k, 2 n) of the posture nearest to q_d (..., nq) by the angle
+        """Return the gains (..., k, size, 2 n) of the posture nearest to q_d (..., nq) by the angle
         of the base's rotation and the joints' positions, rad or m.
         """
         if len(self.gain) == 1 and q_d.ndim == 1:
@@ -116,21 +114,26 @@ class CoupledEstimator(Estimator):
         predicted = predict(sample, nominal_mass_matrix, state, step=self.separate.sample_time)
         estimate, after = self.separate.step(sample, nominal_mass_matrix, state)
         e, e_dot, d = estimate.e.copy(), estimate.e_dot.copy(), -estimate.base_acceleration
-        n, axes = self.axes.size, self.axes
-        old_e, old_rate = (of[axes] for of in predicted[:2])
-        rate = sample.e_dot[axes] - old_rate
+        n, axes, past = self.axes.size, self.axes, self.separate.past(sample, state)
+        of_all = self.separate.expected(*predicted[:2], past)
+        is_own = np.tile(np.isin(np.arange(d.size), axes), 2)
+        measured = np.concatenate((sample.e, sample.e_dot))
+        innovation = (measured - of_all)[is_own]
         if self.biased.size:
             R, bias = matrix_of(sample.q[:4]), state["estimated_velocity_bias"]
-            rate = rate + turned(R, bias)[axes]
-        innovation = np.concatenate((sample.e[axes] - old_e, rate))
-        of_e, of_rate, of_force, of_bias = np.split(
-            self.gain_at(sample.q_d).dot(innovation), [n, 2 * n, 3 * n]
-        )
+            innovation[n:] = innovation[n:] + turned(R, bias)[axes]
+        gains = self.gain_at(sample.q_d)
+        gain = gains[-1]
+        if sample.is_new is not None:
+            new = sample.is_new[is_own]
+            gain, innovation = self.of_kind(gains, new), np.where(new, innovation, 0.0)
+        ends = np.cumsum([n, n, n, self.biased.size])
+        of_e, of_rate, of_force, of_bias, of_past = np.split(gain.dot(innovation), ends)
         force = state["estimated_force"] + of_force
         # Its effect on the other coordinates is theirs to estimate.
         acting = np.zeros_like(d)
         acting[axes] = force
-        e[axes], e_dot[axes] = old_e + of_e, old_rate + of_rate
+        e[axes], e_dot[axes] = predicted[0][axes] + of_e, predicted[1][axes] + of_rate
         d[axes] = -np.linalg.solve(nominal_mass_matrix, acting)[axes]
         kept = {"estimated_error": e, "estimated_error_rate": e_dot, "estimated_negative_n": d}
         if self.biased.size:  # in the base's axes
@@ -138,13 +141,28 @@ class CoupledEstimator(Estimator):
             correction[self.biased] = of_bias
             bias = bias + turned(R.T, correction)
             of_others = after["estimated_velocity_bias"]
-            coupled = np.isin(np.arange(bias.size), axes)
-            kept["estimated_velocity_bias"] = np.where(coupled, bias, of_others)
+            kept["estimated_velocity_bias"] = np.where(is_own[: d.size], bias, of_others)
+        if past.size:
+            kept["past"] = after["past"].copy()
+            of_own = is_own[self.separate.owner]
+            kept["past"][of_own] = past[of_own] + of_past
         return estimate._replace(e=e, e_dot=e_dot, base_acceleration=-d), {
             **after,
             **kept,
             "estimated_force": force,
         }
+
+    def of_kind(self, gains: np.ndarray, new: np.ndarray) -> np.ndarray:
+        """The gain of the kind of sample that is most like one with ``new`` (2 n) measurements."""
+        gain, least = gains[-1], (new != self.kinds[-1]).sum()
+        for of, kind in zip(gains[-2::-1], self.kinds[-2::-1], strict=True):
+            apart = (new != kind).sum()
+            gain, least = np.where(apart < least, of, gain), np.minimum(apart, least)
+        return gain
+
+    def resume(self, state: State, ratio: np.ndarray, v_d: np.ndarray) -> State:
+        """See Estimator."""
+        return self.separate.resume(state, ratio, v_d)
 
 
 def _nearest(postures: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -163,16 +181,17 @@ def _gains_along(
     grip: Grip,
     *,
     axes: np.ndarray,
-    **noises: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Postures (m, nq) of a mission's plan, with the coupled gain of each (m, 3 n, 2 n).
+    sensed: tuple[SensedAxis, ...],
+) -> tuple[np.ndarray, SensedGains]:
+    """Postures (m, nq) of a mission's plan, with the gains of each.
 
     With a capture it is the plan of the phase with ``grip``. The relative eigenvalues of the
     inertias of neighbours stay within ``_NEIGHBOURS``, if ``_MOST_POSTURES`` are enough.
 
     Args:
       mission: with its model and plan.
-      axes, noises: arguments of ``coupled_gain``.
+      axes: the coordinates that are taken together (n).
+      sensed: their noise assumptions (n), with the walk of the force.
     """
     model = driven_model(mission.craft.nominal(grip))
     motion = make_motion(mission, grip)
@@ -184,8 +203,5 @@ def _gains_along(
     steps = passed[-1] / math.log(_NEIGHBOURS) - 1e-9  # but for rounding
     count = min(math.ceil(steps) + 1, _MOST_POSTURES)
     chosen = np.abs(passed - np.linspace(0.0, passed[-1], count)[:, None]).argmin(axis=1)
-    gains = [
-        coupled_gain(each, sample_time=mission.scenario.sample_time, **noises)
-        for each in inverse[chosen]
-    ]
-    return q[chosen], np.array(gains)
+    step = mission.scenario.sample_time
+    return q[chosen], sensed_gains(sensed, responses=-inverse[chosen], sample_time=step)

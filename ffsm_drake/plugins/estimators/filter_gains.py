@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,8 @@ SMALLEST_RATIO = 1e-7
 # the walk's. Held forces move sampled positions with a zero at z = -1: the filter of exact ones has
 # a pole there, and any error of the model makes the loop alternate; here it stays above -0.7.
 _OF_POSITION = 0.1
-# Largest work on the gains of late and slow sensors, in multiplications, roughly: seconds.
+# Largest work on the gains of a filter of late and slow sensors, in multiplications, roughly: a
+# second.
 _LARGEST = 3e8
 
 
@@ -62,48 +64,6 @@ def _assumed(sigma: np.ndarray, walk: Any) -> np.ndarray:
     return np.maximum(np.concatenate([position, velocity]), least)
 
 
-def coupled_gain(
-    inverse_mass_matrix: np.ndarray,
-    *,
-    position_noise: np.ndarray,
-    velocity_noise: np.ndarray,
-    walk: np.ndarray,
-    bias_walk: np.ndarray,
-    sample_time: float,
-) -> np.ndarray:
-    """Stationary gain (3 n + m, 2 n) of a CoupledEstimator with m biases.
-
-    Args:
-      inverse_mass_matrix: block (n, n) of Hhat^-1 for the coupled coordinates.
-      position_noise, velocity_noise: standard deviations of the measured e and e' (n).
-      walk: intensity of the force's random walk (n), N m or N per sqrt(s).
-      bias_walk: random walk of the velocities' biases (n), m of them nonzero.
-      sample_time: L, s.
-    """
-    from scipy.linalg import solve_discrete_are
-
-    step, size = sample_time, walk.size
-    biased = np.flatnonzero(bias_walk)
-    whole = 3 * size + biased.size
-    response, one = -inverse_mass_matrix, np.eye(size)
-    zero = np.zeros_like(one)
-    # In units of acceleration, as in ``kalman_gain``.
-    transition, output = np.eye(whole), np.eye(2 * size, whole)
-    transition[: 3 * size, : 3 * size] = np.block(
-        [[one, one, 0.5 * response], [zero, one, response], [zero, zero, one]]
-    )
-    output[size + biased, np.arange(3 * size, whole)] = -1.0
-    sigma = np.concatenate([position_noise / step**2, velocity_noise / step])
-    noise = _assumed(sigma, np.linalg.norm(response * walk, axis=1) * math.sqrt(step)) ** 2
-    walks = np.concatenate([np.zeros(2 * size), walk, bias_walk[biased] / step])
-    process = np.diag(walks**2 * step) / noise.min()
-    of_noise = np.diag(noise / noise.min())
-    covariance = solve_discrete_are(transition.T, output.T, process, of_noise)
-    gain = np.linalg.solve(output @ covariance @ output.T + of_noise, output @ covariance).T
-    units = np.repeat([step**2, step, 1.0, step], [size, size, size, biased.size])
-    return gain * units[:, None] / units[: 2 * size]
-
-
 @dataclasses.dataclass(frozen=True)
 class SensedAxis:
     """Noise assumptions of a filter for one coordinate."""
@@ -126,127 +86,171 @@ class SensedAxis:
         return self.is_prompt and self.bias_walk == 0.0
 
 
-def late_gains(axis: SensedAxis, *, sample_time: float) -> np.ndarray:
-    """Return gains (4, 4 + sum of the delays, 2) of one coordinate of a LateKalmanEstimator, on [e,
-    e', d, b, past].
+class SensedGains(NamedTuple):
+    """Stationary gains of a filter of n coordinates by what is new at a sample."""
 
-    One gain per kind of sample (nothing, velocity, position, both new). If the stationary filter's
-    gain differs between samples of one kind, it is the mean over the sensors' common period.
-    Raises LinAlgError if that filter is unstable.
+    kinds: np.ndarray  # (k, 2 n) the new measurements of [e, e'] that occur together
+    gains: np.ndarray  # (m, k, 4 n + sum of the delays, 2 n) on [e, e', d, b, past], SI units
+
+
+def sensed_gains(
+    axes: Sequence[SensedAxis], *, responses: np.ndarray, sample_time: float
+) -> SensedGains:
+    """Return the gains of filters of n coordinates together, which differ by their ``responses``.
+
+    A walk d accelerates the coordinates by R d. If the gain of a stationary filter differs between
+    samples with the same new measurements, it is the mean over the common period of the sensors.
+
+    Args:
+      axes: noise assumptions (n); their ``walk`` is the walk of d.
+      responses: R (m, n, n), one filter for each.
+      sample_time: L, s.
+
+    Raises LinAlgError if such a filter is unstable or too large.
     """
-    filter_ = _LateFilter.of(axis, step=sample_time)
-    kinds = filter_.kinds(axis.period)
-    gains = filter_.mean_gains(kinds)
-    filter_.check(gains, kinds)
-    return _at_present(gains, axis, step=sample_time)
+    step, found = sample_time, list[np.ndarray]()
+    filters = [_SensedFilter.of(axes, response, step=step) for response in responses]
+    new = filters[0].new_measurements(axes)
+    kinds, kind_of = np.unique(new, axis=0, return_inverse=True)
+    order = kind_of.ravel().tolist()
+    for filter_ in filters:
+        gains = filter_.mean_gains(kinds, order)
+        filter_.check(gains, order)
+        found.append(_at_present(gains, filter_, axes, step=step))
+    return SensedGains(kinds, np.array(found))
 
 
-# The model of e, e', d and b, in units of acceleration as in ``kalman_gain``.
-_CORE = np.eye(4)
-_CORE[:2, 1:3] = [[1.0, 0.5], [1.0, 1.0]]
+def _delays(axes: Sequence[SensedAxis]) -> np.ndarray:
+    """The delays (2 n) of [e, e'], control samples."""
+    return np.array([axis.delay for axis in axes]).T.ravel()
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class _LateFilter:
-    """The filter at the time of the younger measurement, on [e, e', d, b, past]: what both are late
-    by needs only prediction.
+class _SensedFilter:
+    """The filter at the time of the youngest measurement, on [e, e', d, b, past]: what all are late
+    by needs only prediction. In units of acceleration, as in ``kalman_gain``.
     """
 
-    late: tuple[int, int]  # samples by which the position, or the velocity, is older
+    core: np.ndarray  # (4 n, 4 n) the model of [e, e', d, b]
+    late: np.ndarray  # (2 n) samples by which the measurement of [e, e'] is older
     transition: np.ndarray
     output: np.ndarray
-    noise: np.ndarray  # (2) variances of the measurements, relative to the smaller
+    noise: np.ndarray  # (2 n) variances of the measurements, relative to the smallest
     process: np.ndarray  # likewise
 
     @classmethod
-    def of(cls, axis: SensedAxis, *, step: float) -> "_LateFilter":
-        late = axis.delay[0] - min(axis.delay), axis.delay[1] - min(axis.delay)
-        size = 4 + sum(late)
-        transition = np.zeros((size, size))
-        transition[:4, :4] = _CORE
-        if size > 4:
-            transition[4, 0 if late[0] else 1] = 1.0
-            transition[np.arange(5, size), np.arange(4, size - 1)] = 1.0
-        output = np.zeros((2, size))
-        output[0, size - 1 if late[0] else 0] = 1.0
-        output[1, size - 1 if late[1] else 1] = 1.0
-        output[1, 3] = -1.0 if axis.bias_walk > 0.0 else 0.0
-        sigma = np.array([axis.position_noise / step**2, axis.velocity_noise / step])
-        walks = np.array([axis.walk, axis.bias_walk / step]) * math.sqrt(step)
-        noise = _assumed(sigma, walks[0]) ** 2
+    def of(
+        cls, axes: Sequence[SensedAxis], response: np.ndarray, *, step: float
+    ) -> "_SensedFilter":
+        count, delays = len(axes), _delays(axes)
+        late = delays - delays.min()
+        core = np.kron(np.array([[1, 1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]),
+                       np.eye(count))  # fmt: skip
+        core[:count, 2 * count : 3 * count] = 0.5 * response
+        core[count : 2 * count, 2 * count : 3 * count] = response
+        size = 4 * count + int(late.sum())
+        transition, output = np.zeros((size, size)), np.zeros((2 * count, size))
+        transition[: 4 * count, : 4 * count] = core
+        first = 4 * count
+        for entry, lag in enumerate(late.tolist()):
+            chain = [entry, *range(first, first + lag)]
+            transition[chain[1:], chain[:-1]] = 1.0
+            output[entry, chain[-1]] = 1.0
+            first += lag
+        of_bias = np.array([axis.bias_walk for axis in axes])
+        for k in np.flatnonzero(of_bias):
+            output[count + k, 3 * count + k] = -1.0
+        position, velocity, walk = np.array(
+            [[axis.position_noise, axis.velocity_noise, axis.walk] for axis in axes]
+        ).T
+        sigma = np.concatenate([position / step**2, velocity / step])
+        of_walk = walk * math.sqrt(step)
+        noise = _assumed(sigma, np.linalg.norm(response * of_walk, axis=1)) ** 2
         process = np.zeros((size, size))
-        process[2, 2], process[3, 3] = walks**2 / noise.min()
+        walks = np.concatenate([of_walk, of_bias / step * math.sqrt(step)])
+        own = np.arange(2 * count, 4 * count)
+        process[own, own] = walks**2 / noise.min()
         noise = noise / noise.min()
-        return cls(late=late, transition=transition, output=output, noise=noise, process=process)
+        return cls(
+            core=core, late=late, transition=transition, output=output, noise=noise, process=process
+        )
 
-    def kinds(self, period: tuple[int, int]) -> list[int]:
-        """New measurements at each sample of the common period. Raises LinAlgError if it is too
-        long.
+    def new_measurements(self, axes: Sequence[SensedAxis]) -> np.ndarray:
+        """New measurements (samples, 2 n) at each sample of the common period. Raises LinAlgError
+        if it is too long.
         """
-        samples, size = np.arange(math.lcm(*period)), len(self.transition)
+        periods = np.array([axis.period for axis in axes]).T.ravel()
+        samples, size = np.arange(math.lcm(*periods.tolist())), len(self.transition)
         if (samples.size + 60) * (size**3 + 10_000) > _LARGEST:
             period_of = counted(samples.size, "sample")
             raise np.linalg.LinAlgError(
                 f"a common period of {period_of} and {size} states are too many"
             )
-        position, velocity = (
-            (samples - late) % each == 0 for late, each in zip(self.late, period, strict=True)
-        )
-        found: list[int] = (2 * position + velocity).tolist()
-        return found
+        new: np.ndarray = (samples[:, None] - self.late) % periods == 0
+        return new
 
-    def mean_gains(self, kinds: list[int]) -> np.ndarray:
-        """Return the stationary filter's gains (4, size, 2) by what is new: the mean over the
-        period.
+    def mean_gains(self, kinds: np.ndarray, order: Sequence[int]) -> np.ndarray:
+        """Return the gains (k, size, 2 n) of the stationary filter by what is new: the mean over
+        the period, whose samples have ``kinds`` in this ``order``.
         """
-        covariance, sums = self._stationary(kinds), np.zeros((4, *self.output.T.shape))
-        for kind in kinds:
-            seen = np.flatnonzero([kind // 2, kind % 2])
+        covariance = self._stationary(kinds[order])
+        sums = np.zeros((len(kinds), *self.output.T.shape))
+        for kind in order:
+            seen = np.flatnonzero(kinds[kind])
             of = self.output[seen]
             innovation = of @ covariance @ of.T + np.diag(self.noise[seen])
             gain = np.linalg.solve(innovation, of @ covariance).T
             sums[kind][:, seen] += gain
             covariance = covariance - gain @ of @ covariance
             covariance = self.transition @ covariance @ self.transition.T + self.process
-        return sums / np.maximum(np.bincount(kinds, minlength=4), 1)[:, None, None]
+        mean: np.ndarray = sums / np.bincount(order)[:, None, None]
+        return mean
 
-    def _stationary(self, kinds: list[int]) -> np.ndarray:
+    def _stationary(self, new: np.ndarray) -> np.ndarray:
         """Return the covariance before the first sample of the common period."""
         one, output = np.eye(len(self.transition)), self.output
         whole = _Riccati(one, 0.0 * one, 0.0 * one)
-        for kind in kinds:
-            information = output.T * ([kind // 2, kind % 2] / self.noise) @ output
+        for each in new:
+            information = output.T * (each / self.noise) @ output
             whole = whole.then(_Riccati(self.transition, information, self.process))
         for _ in range(60):
             before, whole = whole.h, whole.then(whole)
-            if np.allclose(whole.h, before, rtol=1e-12, atol=0.0):
+            size = np.sqrt(np.diag(before))
+            if (np.abs(whole.h - before) <= 1e-12 * size * size[:, None]).all():
                 break
         return whole.h
 
-    def check(self, gains: np.ndarray, kinds: list[int]) -> None:
+    def check(self, gains: np.ndarray, order: Sequence[int]) -> None:
         """Raise LinAlgError if the filter with these gains is unstable."""
         error = one = np.eye(len(self.transition))
-        for kind in kinds:
+        for kind in order:
             error = self.transition @ (one - gains[kind] @ self.output) @ error
-        if not self.output[1, 3]:  # no bias is measured
-            error = np.delete(np.delete(error, 3, axis=0), 3, axis=1)
+        count = len(self.core) // 4
+        unbiased = np.flatnonzero(~self.output[:, 3 * count : 4 * count].any(axis=0)) + 3 * count
+        error = np.delete(np.delete(error, unbiased, axis=0), unbiased, axis=1)
         if not np.abs(np.linalg.eigvals(error)).max() < 1.0:
             raise np.linalg.LinAlgError("the mean gains of its slow sensors are unstable")
 
 
-def _at_present(gains: np.ndarray, axis: SensedAxis, *, step: float) -> np.ndarray:
-    """Return gains of the present, and of all that was, from those (4, size, 2) at the time of the
-    younger measurement; in SI units.
+def _at_present(
+    gains: np.ndarray, filter_: _SensedFilter, axes: Sequence[SensedAxis], *, step: float
+) -> np.ndarray:
+    """Return gains of the present, and of all that was, from those (k, size, 2 n) at the time of
+    the youngest measurement; in SI units.
     """
-    common = min(axis.delay)
-    steps = [np.linalg.matrix_power(_CORE, count) @ gains[:, :4] for count in range(common + 1)]
-    rows, first = [steps[common]], 4
-    for entry, lag in enumerate(axis.delay):
+    delays, count = _delays(axes), len(axes)
+    common, first = int(delays.min()), 4 * count
+    steps = [
+        np.linalg.matrix_power(filter_.core, power) @ gains[:, :first]
+        for power in range(common + 1)
+    ]
+    rows = [steps[common]]
+    for entry, lag in enumerate(delays.tolist()):
         rows += [steps[common - j][:, entry : entry + 1] for j in range(1, min(lag, common) + 1)]
         rows += [gains[:, first : first + lag - common]]
         first += lag - common
-    units = np.array([step**2, step])
-    sizes = np.concatenate([units, [1.0, step], np.repeat(units, axis.delay)])
+    units = np.repeat([step**2, step], count)
+    sizes = np.concatenate([units, np.repeat([1.0, step], count), np.repeat(units, delays)])
     return np.concatenate(rows, axis=1) * sizes[:, None] / units
 
 

@@ -31,7 +31,7 @@ from ffsm_drake.common.products import product
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.estimators.assumed_noise import axes_matter, sensed_axes
-from ffsm_drake.plugins.estimators.filter_gains import kalman_gain, late_gains
+from ffsm_drake.plugins.estimators.filter_gains import SensedAxis, kalman_gain, sensed_gains
 from ffsm_drake.scenario import Grip
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.systems.controllers.estimation import Estimate, Estimator
@@ -74,6 +74,19 @@ class KalmanEstimator(Estimator):
             for position, velocity, walk in noises.tolist()
         ]
         return cls(sample_time=step, gain=np.array(gains))
+
+    @property
+    def owner(self) -> np.ndarray:
+        """No past is kept; see LateKalmanEstimator."""
+        return np.arange(0)
+
+    def past(self, sample: Sample, state: State) -> np.ndarray:
+        """No past is kept; see LateKalmanEstimator."""
+        return np.zeros(0)
+
+    def expected(self, e: np.ndarray, e_dot: np.ndarray, past: np.ndarray) -> np.ndarray:
+        """Values (2 nv) of [e, e'] at the times of the measurements, now."""
+        return np.concatenate((e, e_dot))
 
     def initial_state(self) -> State:
         zeros = np.zeros(self.gain.shape[-3])
@@ -129,7 +142,7 @@ class LateKalmanEstimator(Estimator):
         grip: Grip,
     ) -> Self:
         scenario = mission.scenario
-        axes, solve = sensed_axes(scenario, coordinates), functools.cache(late_gains)
+        axes, solve = sensed_axes(scenario, coordinates), functools.cache(_gains_by_kind)
         gains = [solve(axis, sample_time=scenario.sample_time) for axis in axes]
         delays = np.array([axis.delay for axis in axes])
         # From coordinate by coordinate to entry by entry: all e, all e', all d, all b, the past of
@@ -145,14 +158,14 @@ class LateKalmanEstimator(Estimator):
         )
 
     @functools.cached_property
-    def _owner(self) -> np.ndarray:
+    def owner(self) -> np.ndarray:
         """The entry of [e, e'] for each entry of ``past`` (n)."""
         return np.repeat(np.arange(self.delay.size), self.delay)
 
     @functools.cached_property
     def _source(self) -> np.ndarray:
         """Place of each entry of ``past`` in [e, e', past] a sample ago (n)."""
-        source = self.delay.size - 1 + np.arange(self._owner.size)
+        source = self.delay.size - 1 + np.arange(self.owner.size)
         first = np.cumsum(self.delay) - self.delay
         source[first[self.delay > 0]] = np.flatnonzero(self.delay)
         return source
@@ -167,7 +180,7 @@ class LateKalmanEstimator(Estimator):
     def _axis(self) -> np.ndarray:
         """The coordinate of each entry of x."""
         nv = self.delay.size // 2
-        return np.concatenate((np.tile(np.arange(nv), 4), self._owner % nv))
+        return np.concatenate((np.tile(np.arange(nv), 4), self.owner % nv))
 
     @functools.cached_property
     def _of_base(self) -> np.ndarray:
@@ -188,18 +201,17 @@ class LateKalmanEstimator(Estimator):
         )
         return {
             **dict.fromkeys((*names, "delayed_desired_velocity"), np.zeros(nv)),
-            "past": np.zeros(self._owner.size),
+            "past": np.zeros(self.owner.size),
         }
 
     def step(
         self, sample: Sample, nominal_mass_matrix: np.ndarray, state: State
     ) -> tuple[Estimate, State]:
         """One sample; see Estimator."""
-        nv, bias, past = self.delay.size // 2, state["estimated_velocity_bias"], state["past"]
+        nv, bias = self.delay.size // 2, state["estimated_velocity_bias"]
         e, e_dot, d = predict(sample, nominal_mass_matrix, state, step=self.sample_time)
-        if not sample.is_first:
-            past = self._moved_past(state, sample.v_d)
-        expected = np.concatenate((e, e_dot, past))[self._measured]
+        past = self.past(sample, state)
+        expected = self.expected(e, e_dot, past)
         position = sample.e - expected[:nv]
         if self.in_base:
             back = matrix_of(sample.q[:4]).T
@@ -234,14 +246,31 @@ class LateKalmanEstimator(Estimator):
         """
         return {**super().resume(state, ratio, v_d), "past": self._moved_past(state, v_d)}
 
+    def past(self, sample: Sample, state: State) -> np.ndarray:
+        """``past`` at this sample, before its measurements."""
+        return state["past"] if sample.is_first else self._moved_past(state, sample.v_d)
+
+    def expected(self, e: np.ndarray, e_dot: np.ndarray, past: np.ndarray) -> np.ndarray:
+        """Values (2 nv) of [e, e'] at the times of the measurements."""
+        values: np.ndarray = np.concatenate((e, e_dot, past))[self._measured]
+        return values
+
     def _moved_past(self, state: State, v_d: np.ndarray) -> np.ndarray:
         """Past values relative to a reference that has moved on to the velocity v_d."""
         old_v_d = state["delayed_desired_velocity"]
         moved = np.concatenate((0.5 * self.sample_time * (v_d + old_v_d), v_d - old_v_d))
         names = ("estimated_error", "estimated_error_rate", "past")
         before = np.concatenate([state[name] for name in names])
-        past: np.ndarray = before[self._source] + moved[self._owner]
+        past: np.ndarray = before[self._source] + moved[self.owner]
         return past
+
+
+def _gains_by_kind(axis: SensedAxis, *, sample_time: float) -> np.ndarray:
+    """Gains (4, size, 2) of one coordinate; see ``LateKalmanEstimator.gain``."""
+    kinds, (gains,) = sensed_gains([axis], responses=np.ones((1, 1, 1)), sample_time=sample_time)
+    of_kind = np.zeros((4, *gains.shape[1:]))
+    of_kind[kinds @ [2, 1]] = gains
+    return of_kind
 
 
 def turned(R: np.ndarray, values: np.ndarray) -> np.ndarray:

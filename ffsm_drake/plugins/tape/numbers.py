@@ -267,6 +267,14 @@ class Truth(Traceable):
 
     __rand__, __ror__, __rxor__ = __and__, __or__, __xor__
 
+    def __eq__(self, other: Any) -> Any:
+        return self._as_number() == other
+
+    def __ne__(self, other: Any) -> Any:
+        return self._as_number() != other
+
+    __hash__ = object.__hash__
+
     def __add__(self, other: Any) -> Any:
         return self._as_number() + other
 

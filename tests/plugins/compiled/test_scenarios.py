@@ -47,7 +47,7 @@ def some(random, most, groups):
 def late_sensors(random):
     """Periods and delays of each group, and of the force; noise by run."""
     kind = random.choice(["kalman", "one_sample", "coupled"])
-    groups = () if kind == "coupled" else ("base_rotation", "base_position", "joints")
+    groups = ("base_rotation", "base_position", "joints")
     sensors = [
         f"sensing.{what}_{how}={some(random, 6, groups)}"
         for what in ("position", "velocity")
@@ -55,7 +55,7 @@ def late_sensors(random):
     ]
     more = [
         f"actuation.delay={random.integers(3)}",
-        f"sensing.delay={random.integers(3) if groups else 0}",
+        f"sensing.delay={random.integers(3)}",
         f"estimator.kind={kind}",
         "estimator.force_walk=0.07",
         "estimator.velocity_bias_walk={base_rotation: 1.0e-6}" if random.random() < 0.5 else "",

@@ -16,9 +16,8 @@ from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.estimators.coupled import CoupledEstimator
 from ffsm_drake.plugins.estimators.filter_gains import (
     SensedAxis,
-    coupled_gain,
     kalman_gain,
-    late_gains,
+    sensed_gains,
 )
 from ffsm_drake.plugins.estimators.kalman import KalmanEstimator, LateKalmanEstimator
 from ffsm_drake.runs.phases import make_rollout
@@ -152,7 +151,7 @@ def test_gain_is_that_of_the_filter_for_any_sensors(step):
     for numbers in zip(position, velocity, walk, strict=True):
         noises = dict(zip(("position_noise", "velocity_noise", "walk"), numbers, strict=True))
         found = kalman_gain(**noises, sample_time=step)
-        both_new = late_gains(SensedAxis(**noises), sample_time=step)[3]
+        ((both_new,),) = gains_of([SensedAxis(**noises)], sample_time=step).gains
         assert found == pytest.approx(both_new[:3], rel=1e-7), noises
         assert np.abs(poles(found, step)).max() < 1.0
 
@@ -257,64 +256,82 @@ def test_late_measurements_are_filtered_at_their_time_and_predicted():
                 )
 
 
+def gains_of(axes, *, responses=None, **given):
+    """``sensed_gains``; without responses, of coordinates that nothing couples."""
+    responses = np.eye(len(axes))[None] if responses is None else responses
+    return sensed_gains(axes, responses=responses, **given)
+
+
 @pytest.mark.parametrize(
     ("period", "delay"),
     [((1, 1), (0, 0)), ((1, 1), (5, 2)), ((4, 4), (3, 3)), ((1, 6), (0, 4)), ((3, 2), (1, 5))],
 )
-def test_late_gains_are_those_of_the_whole_filter(period, delay):
+@pytest.mark.parametrize("others", [(), (((1, 2), (2, 0)),)], ids=["alone", "coupled"])
+def test_gains_are_those_of_the_whole_filter(period, delay, others):
     """Of the time-varying filter for [e, e', d, b] and everything that was, in SI; the mean by what
-    is new.
+    is new. Another coordinate, with sensors of its own, is disturbed together with it.
     """
-    axis = SensedAxis(
-        position_noise=1e-3,
-        velocity_noise=2e-3,
-        walk=0.3,
-        bias_walk=0.1,
-        period=period,
-        delay=delay,
-    )
-    size = 4 + sum(delay)
-    transition = np.zeros((size, size))
-    transition[:4, :4] = [
-        [1, PERIOD, PERIOD**2 / 2, 0],
-        [0, 1, PERIOD, 0],
-        [0, 0, 1, 0],
-        [0, 0, 0, 1],
-    ]
-    output, first = np.zeros((2, size)), 4
-    for entry, lag in enumerate(delay):
+    times = [(period, delay), *others]
+    n = len(times)
+    axes = [
+        SensedAxis(
+            position_noise=1e-3 * (k + 1), velocity_noise=2e-3, walk=0.3 * (k + 1),
+            bias_walk=0.1 * (k == 0), period=each, delay=late,
+        )
+        for k, (each, late) in enumerate(times)
+    ]  # fmt: skip
+    response = np.array([[1.0, -0.4], [-0.4, 0.7]])[:n, :n]
+    lags, periods = (np.array([of[k] for of in times]).T.ravel() for k in (1, 0))
+    size, one = 4 * n + lags.sum(), np.eye(n)
+    transition, output = np.zeros((size, size)), np.zeros((2 * n, size))
+    transition[: 4 * n, : 4 * n] = np.eye(4 * n)
+    transition[:n, n : 2 * n] = PERIOD * one
+    transition[:n, 2 * n : 3 * n] = PERIOD**2 / 2 * response
+    transition[n : 2 * n, 2 * n : 3 * n] = PERIOD * response
+    first = 4 * n
+    for entry, lag in enumerate(lags):
         for j in range(lag):
             transition[first + j, entry if j == 0 else first + j - 1] = 1.0
         output[entry, first + lag - 1 if lag else entry] = 1.0
         first += lag
-    output[1, 3] = -1.0
+    output[n, 3 * n] = -1.0
+    walks = [of.walk for of in axes] + [of.bias_walk for of in axes]
     process = np.zeros((size, size))
-    process[2, 2], process[3, 3] = 0.3**2 * PERIOD, 0.1**2 * PERIOD
-    noise, covariance, found = np.array([1e-3, 2e-3]) ** 2, 1e-3 * np.eye(size), [[], [], [], []]
+    process[2 * n : 4 * n, 2 * n : 4 * n] = np.diag(np.square(walks)) * PERIOD
+    noise = np.square([of.position_noise for of in axes] + [of.velocity_noise for of in axes])
+    covariance, found = np.zeros((size, size)), {}
+    covariance[: 3 * n + 1, : 3 * n + 1] = 1e-3 * np.eye(3 * n + 1)
     for k in range(1800):
-        new = [i for i in range(2) if (k - delay[i]) % period[i] == 0]
-        of, gain = output[new], np.zeros((size, 2))
+        new = (k - lags) % periods == 0
+        of, gain = output[new], np.zeros((size, 2 * n))
         gain[:, new] = np.linalg.solve(
             of @ covariance @ of.T + np.diag(noise[new]), of @ covariance
         ).T
         covariance = covariance - gain[:, new] @ of @ covariance
         covariance = transition @ covariance @ transition.T + process
-        if k >= 1800 - np.lcm(*period):
-            found[sum(2 - i for i in new)].append(gain)
-    gains = late_gains(axis, sample_time=PERIOD)
-    for kind, expected in enumerate(found):
-        if expected:
-            scale = np.abs(np.mean(expected, axis=0)).max()
-            assert gains[kind] == pytest.approx(
-                np.mean(expected, axis=0), abs=1e-6 * scale, rel=1e-5
-            ), kind
-    assert not gains[0].any()
+        covariance = 0.5 * (covariance + covariance.T)  # rounding would grow
+        if k >= 1800 - np.lcm.reduce(periods):
+            found.setdefault(tuple(new.tolist()), []).append(gain)
+    kinds, (gains,) = gains_of(axes, responses=response[None], sample_time=PERIOD)
+    assert sorted(map(tuple, kinds.tolist())) == sorted(found)
+    for kind, gain in zip(kinds.tolist(), gains, strict=True):
+        expected = np.mean(found[tuple(kind)], axis=0)
+        scale = np.abs(expected).max()
+        assert gain == pytest.approx(expected, abs=1e-6 * scale, rel=1e-5), kind
+        assert not gain[:, ~np.array(kind)].any()
 
 
+def by_groups(rng, low, high):
+    """Whole numbers (2, SIZE), the same for the base's three axes."""
+    return np.repeat(rng.integers(low, high, (2, 7)), [3, 3, 1, 1, 1, 1, 1], axis=1)
+
+
+@pytest.mark.parametrize("late", [False, True])
 @pytest.mark.parametrize("bias_walk", [0.0, 1e-3])
-def test_coupled_is_separate_where_nothing_couples(bias_walk):
+def test_coupled_is_separate_where_nothing_couples(bias_walk, late):
     """With a diagonal mass matrix M, and a force's walk of M times that of N. Biases are in the
-    axes of a base that stands anywhere.
+    axes of a base that stands anywhere. Measurements are late by drawn delays, and velocities new
+    at every second sample.
     """
     rng = np.random.default_rng(0)
     mass, position, velocity, walk = (
@@ -322,25 +339,33 @@ def test_coupled_is_separate_where_nothing_couples(bias_walk):
         for size in (10.0, 1e-5, 1e-4, 1e-2)
     )
     of_bias = np.where(np.isin(np.arange(SIZE), (6, 8)), 0.0, bias_walk)
+    delay, period = by_groups(rng, 0, 5) * late, np.array([[1], [1 + late]]) + np.zeros(SIZE, int)
     settings = {"position_noise": position, "velocity_noise": velocity, "walk": walk}
     settings["velocity_bias_walk"] = of_bias
     given = [f"estimator.{key}={by_coordinate(of)}" for key, of in settings.items()]
+    for part, lag, each in zip(PARTS, delay, period, strict=True):
+        given += [f"sensing.{part}_delay={by_coordinate(lag)}"]
+        given += [f"sensing.{part}_period={by_coordinate(each)}"]
     separate = made("postcapture", "estimator.kind=kalman", *given)
-    assert isinstance(separate, LateKalmanEstimator if bias_walk else KalmanEstimator)
+    assert isinstance(separate, LateKalmanEstimator if bias_walk or late else KalmanEstimator)
     axes = np.array([0, 1, 2, 6, 7, 8, 9, 10])
-    together = coupled_gain(
-        np.diag(1.0 / mass[axes]),
-        position_noise=position[axes],
-        velocity_noise=velocity[axes],
-        walk=(mass * walk)[axes],
-        bias_walk=of_bias[axes],
-        sample_time=PERIOD,
-    )
+    assumed = [
+        SensedAxis(
+            position_noise=position[i], velocity_noise=velocity[i], walk=mass[i] * walk[i],
+            bias_walk=of_bias[i], period=(1, 1 + late), delay=tuple(delay[:, i].tolist()),
+        )
+        for i in axes
+    ]  # fmt: skip
+    responses = np.diag(-1.0 / mass[axes])[None]
+    kinds, (together,) = gains_of(assumed, responses=responses, sample_time=PERIOD)
+    unbiased = 3 * axes.size + np.flatnonzero(of_bias[axes] == 0.0)
+    together = np.delete(together, unbiased, axis=1)
     q_d = np.arange(1.0, 13.0)
     coupled = CoupledEstimator(
         separate=separate,
         axes=axes,
         biased=axes[of_bias[axes] > 0.0],
+        kinds=kinds,
         postures=np.stack([q_d, -2.0 * q_d]),
         gain=np.stack([together, np.zeros_like(together)]),
     )
@@ -349,16 +374,37 @@ def test_coupled_is_separate_where_nothing_couples(bias_walk):
     for k in range(60):
         given = {"v_d": v_d[k], "e": e[k], "e_dot": e_dot[k], "applied_force": force[k]}
         given |= {"q": rng.normal(size=SIZE + 1), "q_d": q_d}
+        given |= {"is_new": ((k - delay) % period == 0).ravel()} if late else {}
         sample = sampled(is_first=k == 0, **given)
         expected, states[0] = separate.step(sample, np.diag(mass), states[0])
         estimate, states[1] = coupled.step(sample, np.diag(mass), states[1])
         for name in ("e", "e_dot", "base_acceleration"):
             of, wanted = getattr(estimate, name), getattr(expected, name)
             assert of == pytest.approx(wanted, abs=1e-6 * np.abs(wanted).max()), (k, name)
+    for name in ("past", "estimated_velocity_bias"):
+        found, wanted = (state.get(name, np.zeros(0)) for state in states[1::-1])
+        assert found == pytest.approx(wanted, abs=1e-6 * np.abs(wanted).max(initial=0.0))
     if bias_walk:
-        found, wanted = (state["estimated_velocity_bias"] for state in states[1::-1])
-        assert found == pytest.approx(wanted, abs=1e-6 * np.abs(wanted).max())
         assert (np.abs(found) > 0.0).tolist() == (of_bias > 0.0).tolist()
+    jumps = [estimator.resume(state, np.eye(SIZE), v_d[0]) for estimator, state in
+             zip((separate, coupled), states, strict=True)]  # fmt: skip
+    assert jumps[0].keys() == jumps[1].keys()
+    for name, wanted in jumps[0].items():
+        assert jumps[1][name] == pytest.approx(wanted, abs=1e-6 * np.abs(wanted).max(initial=0.0))
+
+
+@pytest.mark.smoke
+def test_a_sample_unlike_all_others_has_the_gain_of_the_nearest_kind():
+    """A reading can be lost: the others then count as at the most similar samples."""
+    kinds = np.array([[0, 1, 0, 1], [1, 1, 0, 1], [1, 1, 1, 1]], dtype=bool)
+    gain = np.random.default_rng(0).normal(size=(1, 3, 6, 4))
+    estimator = CoupledEstimator(
+        separate=None, axes=np.arange(2), biased=np.arange(0), kinds=kinds,
+        postures=np.zeros((1, 8)), gain=gain,
+    )  # fmt: skip
+    seen = [*kinds, [0, 0, 0, 1], [0, 1, 1, 1]]
+    found = [estimator.of_kind(gain[0], np.array(new, dtype=bool)) for new in seen]
+    assert np.array_equal(found, gain[0][[0, 1, 2, 0, 2]])
 
 
 def test_the_gain_is_that_of_the_nearest_posture():
@@ -366,11 +412,12 @@ def test_the_gain_is_that_of_the_nearest_posture():
     alone.
     """
     rng = np.random.default_rng(0)
-    postures, gain = rng.normal(size=(5, 12)), rng.normal(size=(5, 6, 4))
+    postures, gain = rng.normal(size=(5, 12)), rng.normal(size=(5, 1, 6, 4))
     postures[:, :4] /= np.linalg.norm(postures[:, :4], axis=1)[:, None]
     estimator = CoupledEstimator(
-        separate=None, axes=np.arange(2), biased=np.arange(0), postures=postures, gain=gain
-    )
+        separate=None, axes=np.arange(2), biased=np.arange(0), kinds=np.ones((1, 4), dtype=bool),
+        postures=postures, gain=gain,
+    )  # fmt: skip
     near = postures + 1e-3
     near[:, :4] *= -1.0
     near[:, 4:7] += 100.0
@@ -413,10 +460,10 @@ def test_the_coupled_filter_is_stable_all_along_a_motion():
     axes = estimator.axes
     inverses = np.linalg.inv(model.calc_mass_matrix(q_d))[:, axes[:, None], axes]
     along = [
-        filter_radius(estimator, inverse, estimator.gain_at(q))
+        filter_radius(estimator, inverse, *estimator.gain_at(q))
         for q, inverse in zip(q_d, inverses, strict=True)
     ]
-    at_start = [filter_radius(estimator, inverse, estimator.gain[0]) for inverse in inverses]
+    at_start = [filter_radius(estimator, inverse, *estimator.gain[0]) for inverse in inverses]
     assert max(along) < 1.0
     assert max(at_start) > 1.2
 
@@ -695,8 +742,8 @@ def test_where_no_gain_helps_one_sample_a_slower_estimate_does(run):
         ),
         ("estimator.force_walk=0", "estimator.force_walk.all: must be > 0, not 0"),
         (
-            "estimator={kind: coupled, delay: 2}",
-            "estimator.kind: coupled needs sensors without delay or longer periods",
+            "estimator={kind: coupled, velocity_noise: {base_rotation_x: 1, all: 2}}",
+            "estimator.kind: coupled needs one noise and walk for the base's three axes",
         ),
         ("estimator.position_noise=-1", "--set estimator.position_noise.all: must be >= 0"),
         ("estimator.velocity_noise.joint_1=-1", "estimator.velocity_noise.joint_1: must be >= 0"),

@@ -64,10 +64,10 @@ def drawn(seed: int, courier: str, *, gently: bool = False):
         hard = ["actuation.limit.all=200"]
         given += ["sensing.velocity_noise.all=1e-7", "sensing.position_noise.all=0"]
     if law in TIME_DELAY:
-        kind = draw.choice(["one_sample", "kalman", "coupled", "late"])
-        kind = "kalman" if gently and kind == "late" else kind
-        given += [f"estimator.kind={'kalman' if kind == 'late' else kind}"]
-        if kind == "late":
+        kind = draw.choice(["one_sample", "kalman", "coupled", "late kalman", "late coupled"])
+        kind = "kalman" if gently and "late" in kind else kind
+        given += [f"estimator.kind={kind.removeprefix('late ')}"]
+        if "late" in kind:
             given += ["sensing.position_period.base_position=5"]
             given += ["sensing.position_delay.base_position=2"]
             given += [f"estimator.velocity_bias_walk.base_rotation={draw.choice([0.0, 1e-6])}"]

@@ -37,7 +37,6 @@ _APPROACHES = ("capture with approach", "measured target")
 REFUSED = {
     frozenset(combination.items()): names
     for combination, names in (
-        ({"estimator": "coupled", "sensors": "late"}, ("coupled", "delay")),
         *(
             ({"base actuators": actuators, "driven": driven}, ("driven", actuators.split()[0]))
             for actuators in ("thrusters", "wheels", "thrusters and wheels")

@@ -66,7 +66,9 @@ CASES = {
                           np.clip(x, -0.2, 0.2), np.maximum.reduce(np.abs(x), keepdims=True)],
     "chosen": lambda x: [np.where(x > 0.1, x, M[0]), np.where((x > 0) & (x < 1), 1.0, 2.0),
                          np.where(~(x >= 0) | (x == x[0]), x, -x), np.sign(x - 0.1) * x,
-                         np.where(np.any(x > 0.5), x, 0.0), (x > 0) * 2.0, np.logical_not(x > 0)],
+                         np.where(np.any(x > 0.5), x, 0.0), (x > 0) * 2.0, np.logical_not(x > 0),
+                         *(truth * 1.0 for of in ([True, False, True, False], x < M[0])
+                           for truth in ((x > 0.1) == of, (x > 0.1) != of, of != (x > 0.1)))],
     "masked": lambda x: masked(x),
     "shapes": lambda x: [x.reshape(2, 2).T, np.concatenate([x, M[0]]), np.stack([x, x]), x[::-1],
                          np.hstack([x, 1.0]), np.tile(x, 2), *np.split(x, 2), x[[2, 0]],
