@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from pydrake.systems.primitives import PassThrough
 
 from ffsm_drake.plugins.actuators.row import Actuators, acting, make_actuation
 from ffsm_drake.scenario import Actuation, Scenario
@@ -83,12 +84,14 @@ def _mean(scenario: Scenario, coordinates: Coordinates) -> tuple[Actuation, Mean
     return dataclasses.replace(settings, thrusters=None, wheels=None), base
 
 
-def make_mean_actuation(setup: BlockSetup) -> Actuators | None:
+def make_mean_actuation(setup: BlockSetup) -> Actuators:
     """Return the scenario's actuators with the mean of their pulses; without thrusters the base's
     wrench acts as commanded.
     """
     settings, base = _mean(setup.scenario, setup.coordinates)
-    return make_actuation(settings, setup.coordinates, sample_time=setup.sample_time, base=base)
+    of, period = setup.coordinates, setup.sample_time
+    found = make_actuation(settings, of, sample_time=period, base=base)
+    return found or Actuators({"as_commanded": PassThrough(len(of.names))}, {})
 
 
 def mean_blocks(

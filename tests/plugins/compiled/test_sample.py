@@ -153,6 +153,7 @@ def test_the_derivative_is_exact(law, given):
         ("tdc", "free_floating", SHORT),
         ("tvlqr", "free_floating", (*SHORT, "sensing.position_period={base_position: 3}")),
         ("tdc", "flexible_panels", ("environment={altitude: null, mean_motion: 0.01}",)),
+        ("tdc", "postcapture", (f"actuation.wheels={WHEELS}",)),
     ],
 )
 def test_the_loop_is_that_of_differences(law, name, overrides, monkeypatch):
