@@ -19,10 +19,11 @@ from fault_records import read, stepped
 
 from ffsm_drake.plugins.faults.box_squares import least_squares
 from ffsm_drake.plugins.faults.detection import Detector
-from ffsm_drake.plugins.faults.known import EVERY, SPAN
+from ffsm_drake.plugins.faults.known import SPAN
 from ffsm_drake.plugins.faults.memory import Memory
 from ffsm_drake.plugins.faults.panels import PanelBound
-from ffsm_drake.plugins.faults.payload_error import NUM_ERRORS, force_by_errors
+from ffsm_drake.plugins.faults.payload_error import NUM_ERRORS
+from ffsm_drake.plugins.faults.windows import EVERY
 
 SMOOTH = 4  # blocks on each side of an acceleration
 EARLIER, LATER = 0.4, 0.6  # shares of the block before and of its own in a change of block means
@@ -54,12 +55,13 @@ def left_over(kept: dict[str, Any], first: float, last: float) -> float:
     velocity, nv = blocks["velocity"], blocks["velocity"].shape[1]
     later = np.minimum(np.arange(len(velocity)) + SMOOTH, len(velocity) - 1)
     before = np.maximum(np.arange(len(velocity)) - SMOOTH, 0)
-    acceleration = (velocity[later] - velocity[before]) / (step * (later - before)[:, None])
     columns = blocks["inverse"] * blocks["bound"][:, None]
     unknowns = [_summed(columns, step)]
     low, high = -np.ones(columns.size // nv), np.ones(columns.size // nv)
-    if blocks["payload"].size:
-        errors = -blocks["inverse"] @ force_by_errors(blocks["payload"], velocity, acceleration)
+    if blocks["box"].any():
+        errors = blocks["errors"][later] - blocks["errors"][before]
+        errors = errors.reshape(*columns.shape[:2], NUM_ERRORS)
+        errors /= step * (later - before)[:, None, None]
         of_all = _summed(errors, step).reshape(errors.size // NUM_ERRORS, -1, NUM_ERRORS)
         unknowns.append(of_all.sum(axis=1))  # the same payload in all blocks
         low, high = np.append(low, blocks["box"][0]), np.append(high, blocks["box"][1])
@@ -86,14 +88,14 @@ def fed_blocks(kept: dict[str, Any], first: float, last: float) -> dict[str, np.
             panels.extend([_of_panels(detector, memory)] * new)
     assert detector is not None
     at = detector._at
-    _, inverse, bound, _, payload = detector._models.at(np.array(states))
+    _, inverse, bound, _ = detector._models.at(np.array(states))
     bound[:, :6] += panels
     return {
         "left": np.array(rows)[:, at["left"]],
         "velocity": np.array(rows)[:, at["velocity"]],
         "inverse": inverse,
         "bound": bound + 1e-6,
-        "payload": payload,
+        "errors": np.array(rows)[:, at["errors"]],
         "box": np.array(detector._box),
         "noise": np.maximum(detector._velocity_noise, 1e-9),
     }

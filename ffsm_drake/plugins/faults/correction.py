@@ -35,7 +35,9 @@ class Correction(Known):
             return
         seen, expected = memory.seen, np.zeros(nv)
         if not is_first:
-            expected = self._changes(rows, memory.samples)[1][0]
+            held = rows.copy()  # what is measured now may be wrong
+            held[-1, self._in["state"]] = rows[0, self._in["state"]]
+            expected = self._changes(held, memory.samples)[1][0]
         off = self._of_base(matrix_of(seen[:4]), memory.off)
         q, v = moved(raw[:nq], -off[:nv]), raw[nq:] - off[nv:]
         lost = self._lost(memory.codes)

@@ -22,10 +22,10 @@ import numpy as np
 
 from ffsm_drake.loop.blocks import WRENCH
 from ffsm_drake.plugins.faults.force_watch import ForceWatch
-from ffsm_drake.plugins.faults.known import EVERY, KINDS, units_of
+from ffsm_drake.plugins.faults.known import KINDS, units_of
 from ffsm_drake.plugins.faults.memory import HEAD, Memory
 from ffsm_drake.plugins.faults.sensor_watch import JUMP
-from ffsm_drake.plugins.faults.windows import BATCH
+from ffsm_drake.plugins.faults.windows import BATCH, EVERY
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.systems.faults import detects
 from ffsm_drake.systems.parts.metrics import Figure, Metric, by_key

@@ -16,8 +16,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ffsm_drake.plugins.faults.payload_error import force_by_errors
-from ffsm_drake.plugins.faults.windows import slope_weights
+from ffsm_drake.plugins.faults.windows import EVERY, slope_weights
 
 WINDOWS = (4, 8, 16, 32, 64)  # blocks of slopes
 CHAIN, LINKS = 16, 4  # blocks of slopes that follow one another; their number
@@ -55,14 +54,15 @@ class Means:
     ago: np.ndarray  # (F) blocks from the last one back to the end of the window
     middle: np.ndarray  # (F) blocks from the last one back to its middle
     unexplained: np.ndarray  # (F, nv) accelerations
-    acceleration: np.ndarray  # (F, nv)
+    errors: np.ndarray  # (F, nv, 10) accelerations that errors of the payload need, each one
+    spread: np.ndarray  # (F) root of the sum of the squares of the weights of samples
     noise: np.ndarray  # (F, nv) standard deviation of ``unexplained``
     told: np.ndarray  # (F, n) N
 
 
 def slopes(
     left: np.ndarray,
-    velocity: np.ndarray,
+    errors: np.ndarray,
     told: np.ndarray,
     noise: np.ndarray,
     step: float,
@@ -71,8 +71,9 @@ def slopes(
 ) -> Means:
     """Slopes over windows (F) of m blocks that are ``step`` s apart.
 
-    Args: of blocks, unexplained changes and velocities (m, nv), impulses (m, n), each summed up;
-    the noise (nv) of a velocity's mean over a block; also how many blocks ago each window ended.
+    Args: of blocks, unexplained changes (m, nv), those that errors of the payload need (m, nv 10),
+    and impulses (m, n), each summed up; the noise (nv) of a velocity's mean over a block; also how
+    many blocks ago each window ended.
     """
     weights, window, back = np.zeros((len(windows), len(left))), np.array(windows), np.array(ago)
     for row, (size, end) in enumerate(zip(windows, ago, strict=True)):
@@ -80,7 +81,8 @@ def slopes(
         weights[row, :count] = slope_weights((size,), count, step)
     return Means(
         window=window, is_slope=np.ones(len(window), dtype=bool), middle=window // 2 + back,
-        ago=back, unexplained=weights @ left, acceleration=weights @ velocity, told=weights @ told,
+        ago=back, unexplained=weights @ left, told=weights @ told,
+        errors=_in_rows(weights @ errors, noise.size), spread=np.sqrt(1.2 / (EVERY * window)),
         noise=np.linalg.norm(weights, axis=1)[:, None] * noise,
     )  # fmt: skip
 
@@ -89,9 +91,9 @@ def pulses(sums: np.ndarray, rows: np.ndarray, fires: np.ndarray, blocks: int) -
     """Add samples to sums that are weighted by the force of each thruster, and fade.
 
     Args:
-      sums: (3, n, n + 2 nv + 3), updated: forces, unexplained and expected accelerations, of ones,
-        of how many blocks ago, and of squares of changes.
-      rows: those values of so many samples (k, n + 2 nv).
+      sums: (3, n, n + 11 nv + 4), updated: forces, accelerations, unexplained and as errors of
+        the payload need, of ones, of how many blocks ago, and of squares of forces and of changes.
+      rows: the values before the ones, of so many samples (k, n + 11 nv).
       fires: forces of thrusters (k + 1, n), N, also at the sample before.
       blocks: that the samples form.
     """
@@ -100,10 +102,11 @@ def pulses(sums: np.ndarray, rows: np.ndarray, fires: np.ndarray, blocks: int) -
     changes = np.diff(fires, axis=0) ** 2
     for of, time in zip(sums, _FADES, strict=True):
         fades, faded = np.exp(-ago / time), np.exp(-blocks / time)
-        of[:, -2] += blocks * of[:, -3]
-        of[:, -1] *= faded
+        of[:, -3] += blocks * of[:, -4]
+        of[:, -2:] *= faded
         of *= faded
-        of[:, :-1] += (fades[:, None] * fires[1:]).T @ values
+        of[:, :-2] += (fades[:, None] * fires[1:]).T @ values
+        of[:, -2] += fades**2 @ fires[1:] ** 2
         of[:, -1] += fades**2 @ changes
 
 
@@ -114,19 +117,24 @@ def fired(sums: np.ndarray, span: int, force: np.ndarray, noise: np.ndarray, ste
     of a sample of the velocities; control period, s.
     """
     count, nv = len(force), noise.size
-    total = sums[:, :, -3]
+    total = sums[:, :, -4]
     is_used = np.array([max(blocks, FIRST) <= span for blocks in FIRED])
     at, which = np.nonzero((total >= _FIRES * force) & is_used[:, None])
     of, total = sums[at, which], total[at, which]
     means = of / total[:, None]
-    left, expected = means[:, count : count + nv], means[:, count + nv : -3]
     rough = np.sqrt(of[:, -1] + 2.0 * force[which] ** 2) / total / step
     return Means(
         window=np.array(FIRED)[at], is_slope=np.zeros(len(at), dtype=bool), ago=0 * at,
-        middle=np.minimum(np.round(means[:, -2] + 0.4), np.array(FIRED)[at]).astype(int),
-        unexplained=left, acceleration=left + expected, told=means[:, :count],
-        noise=rough[:, None] * noise,
+        middle=np.minimum(np.round(means[:, -3] + 0.4), np.array(FIRED)[at]).astype(int),
+        unexplained=means[:, count : count + nv], told=means[:, :count],
+        errors=_in_rows(means[:, count + nv : -4], nv),
+        spread=np.sqrt(of[:, -2]) / total, noise=rough[:, None] * noise,
     )  # fmt: skip
+
+
+def _in_rows(columns: np.ndarray, nv: int) -> np.ndarray:
+    """Columns (F, nv k) as (F, nv, k)."""
+    return columns.reshape(len(columns), nv, columns.shape[1] // nv)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -135,8 +143,6 @@ class Places:
 
     inverse: np.ndarray  # (F, nv, nv) of the mass matrix
     bound: np.ndarray  # (F, nv) of normal forces
-    velocity: np.ndarray  # (F, nv)
-    payload: np.ndarray  # (F, 6 nv + 6) as ``payload_error.place``; (F, 0) without a payload
     pushes: np.ndarray  # (F, nv, n)
     panels: np.ndarray  # (F, 6) largest force of flexible parts on the base
     turned: np.ndarray  # (F) largest motion of a joint or the base in the window, rad or m
@@ -157,10 +163,9 @@ def whitened(
     white = at.inverse / deviation[:, :, None]
     matrix, high = white * bound[:, None], np.ones_like(bound)
     low = -high
-    if at.payload.size:
-        by_errors = force_by_errors(at.payload, at.velocity, means.acceleration)
+    if box[1].any():
         scale = 0.5 * (box[1] - box[0])
-        matrix = np.concatenate([matrix, -white @ (by_errors * scale)], axis=2)
+        matrix = np.concatenate([matrix, means.errors * scale / deviation[:, :, None]], axis=2)
         low, high = (
             np.hstack([own, np.tile(of / scale, (len(own), 1))])
             for own, of in zip((low, high), box, strict=True)

@@ -7,11 +7,11 @@ import numpy as np
 
 from ffsm_drake.plugins.actuators.wheel_set import WHEEL_STOPS
 from ffsm_drake.plugins.faults import features
-from ffsm_drake.plugins.faults.known import EVERY, KEPT, LEARNT, OLD, WINDOWS
+from ffsm_drake.plugins.faults.known import KEPT, LEARNT, OLD, WINDOWS
 from ffsm_drake.plugins.faults.memory import Memory
 from ffsm_drake.plugins.faults.motion_watch import MotionWatch
 from ffsm_drake.plugins.faults.wheel_watch import stopped
-from ffsm_drake.plugins.faults.windows import BATCH, slope_weights
+from ffsm_drake.plugins.faults.windows import BATCH, EVERY, slope_weights
 from ffsm_drake.plugins.faults.wrists import FADES
 
 
@@ -25,7 +25,7 @@ class ForceWatch(MotionWatch):
         count, step, before = len(self._force), self._step, memory.samples - memory.done
         rows, blocks = memory.rows[first : first + size + 1], size // EVERY
         velocity, told = rows[:, self._in["state"]][:, self._nq :], rows[:, self._in["told"]]
-        beyond, expected = self._changes(rows, before)
+        beyond, expected, errors = self._changes(rows, before)
         left, now = np.diff(velocity, axis=0) - expected, velocity[1:]
         self._find_jumps(memory, left, rows[0, self._in["state"]], before)
         if self._has_wrists:
@@ -33,7 +33,9 @@ class ForceWatch(MotionWatch):
             largest = rows[1:, self._in["pressed"]].max(axis=0)
             memory.pressed[:] = np.maximum(memory.pressed, largest)
         moves = rows[1:, self._in["slip"]], rows[1:, self._in["moved"]]
-        parts = left, *moves, 0.0 * now, step * told[1:, :count], step * told[:-1, count:], beyond
+        errors = errors.reshape(size, -1)
+        impulses = step * told[1:, :count], step * told[:-1, count:]
+        parts = left, *moves, 0.0 * now, errors, *impulses, beyond
         sums = np.cumsum(np.vstack([memory.sums, np.hstack(parts)]), axis=0)[1:]
         sums[:, self._at["velocity"]] = now
         memory.sums[:] = sums[-1]
@@ -45,7 +47,7 @@ class ForceWatch(MotionWatch):
         if count:
             fresh = EVERY * int(np.clip(memory.span, 0, blocks))
             memory.pulses *= float(fresh == size)
-            samples = np.hstack([told[1:, :count], left / step, expected / step])[size - fresh :]
+            samples = np.hstack([told[1:, :count], left / step, errors / step])[size - fresh :]
             features.pulses(memory.pulses, samples, told[size - fresh :, :count], fresh // EVERY)
         memory.clock += blocks
         if memory.clock % BATCH == 0.0:
@@ -59,7 +61,7 @@ class ForceWatch(MotionWatch):
 
         Args: unexplained changes; the state before them; how many samples were before.
         """
-        _, inverse, _, pushes, _ = self._models.at(state[None])
+        _, inverse, _, pushes = self._models.at(state[None])
         reach = self._step * np.abs(inverse[0] @ pushes[0]) @ self._force
         bound = self._settings.threshold * np.sqrt(memory.rough) + reach
         first = int(max(LEARNT - before, 0))

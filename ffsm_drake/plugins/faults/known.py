@@ -20,13 +20,14 @@ from ffsm_drake.plugins.faults.jam import JAMMED
 from ffsm_drake.plugins.faults.memory import Layout, Memory
 from ffsm_drake.plugins.faults.models import Models
 from ffsm_drake.plugins.faults.panels import AGO, SIZE, SPANS
+from ffsm_drake.plugins.faults.payload_error import NUM_ERRORS, force_by_errors
 from ffsm_drake.plugins.faults.sensors import (
     SENSOR_FAULTS,
     entries_in_state,
     reports_losses,
     sensors_of,
 )
-from ffsm_drake.plugins.faults.windows import BATCH
+from ffsm_drake.plugins.faults.windows import BATCH, EVERY
 from ffsm_drake.plugins.faults.wrists import Wrists
 from ffsm_drake.scenario import Scenario, thrusters_of
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -40,8 +41,8 @@ _FAULTS = (*THRUSTER_FAULTS, WHEEL_STOPS, JAMMED, *SENSOR_FAULTS)
 SUSPECTED = "suspected"  # one of several units is faulty
 KINDS = ("", *(kind.name for kind in _FAULTS if not kind.at_random), SUSPECTED)
 CODE = {kind: float(code) for code, kind in enumerate(KINDS)}
-# control samples of a block; blocks that sensors and wheels compare; looks until a slope is known
-EVERY, KEPT, OLD = 5, 61, 20
+# blocks that sensors and wheels compare; looks until a slope is known
+KEPT, OLD = 61, 20
 WINDOWS = (8, 24, 60)  # blocks of sensors and wheels
 SPAN = 65  # blocks that are kept
 LEARNT = 50  # samples, or blocks, after which a variance is known
@@ -142,10 +143,12 @@ class Known:
         self._num_units = 0 if base is None else len(base.units)
         self._num_wheels = self._num_units - len(self._force)
         self._none_isolated = np.zeros(self._num_units)
-        # columns of a block: unexplained velocities, slips, motions, velocities, impulses of
-        # thrusters, commanded impulses of wheels, momenta that wheels did not take
+        # columns of a block: unexplained velocities, slips, motions, velocities, those that errors
+        # of the payload need, each one, impulses of thrusters, commanded impulses of wheels,
+        # momenta that wheels did not take
         count, wheels = len(self._force), self._num_wheels
-        widths = {"left": nv, "slip": nv, "moved": nv, "velocity": nv, "impulse": count}
+        widths = {"left": nv, "slip": nv, "moved": nv, "velocity": nv}
+        widths |= {"errors": nv * NUM_ERRORS, "impulse": count}
         self._at = _columns(widths | {"told": wheels, "beyond": wheels})
         # columns of a sample: state, commands, momenta and whether measurements are new; force,
         # slip and motion since the sample before
@@ -160,7 +163,7 @@ class Known:
             **dict.fromkeys(("off", "since"), (2 * nv,)),
             **dict.fromkeys(("jitter", "room", "rough", "slope", "acceleration"), (nv,)),
             "sums": (width,), "repeats": (len(self._sensors),),
-            "pulses": (len(FIRED), count, count + 2 * nv + 3),
+            "pulses": (len(FIRED), count, count + nv * (1 + NUM_ERRORS) + 4),
             "kept": (SPAN, width), "states": (SPAN // BATCH + 1, size),
             "against": (rows, units), "voted": (rows,), "agreed": (3,),
             "doubted": (2 + units,),
@@ -184,16 +187,20 @@ class Known:
             told[codes[: told.size] == CODE["leaking"]] = 0.0
         return told
 
-    def _changes(self, rows: np.ndarray, samples: float) -> tuple[np.ndarray, np.ndarray]:
-        """Momenta that wheels did not take (m, wheels), and changes of velocity that the reported
-        forces, with measured wheel torques, explain (m, nv).
+    def _changes(self, rows: np.ndarray, samples: float) -> tuple[np.ndarray, ...]:
+        """Momenta that wheels did not take (m, wheels), and changes of velocity: those that the
+        reported forces, with measured wheel torques, explain (m, nv), and those that errors of the
+        payload of one unit each need (m, nv, 10).
 
-        The model is that of the first and last sample, with even steps between them.
+        The model is that at the ends of blocks, with even steps between them. An error of the
+        payload acts at all times of a window: the motion in its middle does not tell its mean.
 
         Args: rows (m + 1) of samples; how many samples of the leg were before.
         """
-        before, force = rows[:-1, self._in["state"]], rows[1:, self._in["force"]]
-        force = force - self._damping * before[:, self._nq :]
+        states, force = rows[:, self._in["state"]], rows[1:, self._in["force"]]
+        before = states[:-1]
+        moves = 0.5 * (before + states[1:])[:, self._nq :]
+        force = force - self._damping * moves
         beyond = np.zeros((len(before), self._num_wheels))
         if self._wheels is not None:
             told = rows[:-1, self._in["told"]][:, -self._num_wheels :]
@@ -201,19 +208,32 @@ class Known:
             beyond[: max(2 - int(samples), 0)] = 0.0
             axes = matrix_of(before[:, :4]) @ self._wheels.axes
             force[:, :3] -= (axes @ beyond[..., None])[..., 0] / self._step
-        _, inverse, bias = self._models.dynamics(before[0])
-        if len(before) > 1:
-            _, inverse_then, bias_then = self._models.dynamics(rows[-1, self._in["state"]])
-            share = np.arange(len(before))[:, None] / len(before)
-            bias = bias + share * (bias_then - bias)
-            inverse = inverse + share[..., None] * (inverse_then - inverse)
-        found = (inverse @ (force - bias)[..., None])[..., 0]
-        return beyond, self._step * found
+        every = min(len(before), EVERY)
+        ends = [self._models.dynamics(state) for state in states[::every]]
+        _, inverse, bias, jacobian = map(np.array, zip(*ends, strict=True))
+        at = _between(jacobian, every)
+        turns = np.diff(jacobian, axis=0).repeat(every, axis=0) / every
+        twist = at @ moves[..., None]
+        change = at @ np.diff(states[:, self._nq :], axis=0)[..., None] + turns @ moves[..., None]
+        inverse = self._step * _between(inverse, every)
+        needed = force_by_errors(at, twist[..., 0], change[..., 0] / self._step)
+        return (
+            beyond,
+            (inverse @ (force - _between(bias, every))[..., None])[..., 0],
+            -inverse @ needed,
+        )
 
     @staticmethod
     def _forget(memory: Memory) -> None:
         """Begin all windows with the next block."""
         memory.blocks = memory.span = -1.0 - memory.done // EVERY
+
+
+def _between(ends: np.ndarray, count: int) -> np.ndarray:
+    """Values in the middle of samples (m, ...), from values at the ends of so many of them."""
+    shares = ((np.arange(count) + 0.5) / count).reshape(-1, *[1] * (ends.ndim - 1))
+    found: np.ndarray = ends[:-1, None] + shares * np.diff(ends, axis=0)[:, None]
+    return found.reshape(-1, *ends.shape[1:])
 
 
 def _columns(widths: dict[str, int]) -> dict[str, slice]:

@@ -8,11 +8,10 @@ from pydrake.multibody.tree import Frame
 
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.faults.bounds import Bounds
-from ffsm_drake.plugins.faults.payload_error import place
 from ffsm_drake.spacecraft.nominal import PlantModel
 
 Kept = TypeVar("Kept")
-_MOST, _FEW = 40, 4  # states: twice those of the longest window; with a bias
+_MOST, _FEW = 40, 8  # states: twice those of the longest window; of the last blocks
 
 
 class Models:
@@ -34,22 +33,23 @@ class Models:
         self._dynamics = dict[bytes, tuple[np.ndarray, ...]]()
 
     def at(self, states: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Mass matrices (m, nv, nv), their inverses, bounds of forces (m, nv), generalized forces
-        of unit forces of thrusters (m, nv, n), and places of the payload (m, 6 nv + 6, or 0).
+        """Mass matrices (m, nv, nv), their inverses, bounds of forces (m, nv), and generalized
+        forces of unit forces of thrusters (m, nv, n).
 
         Args: states (m, nq + nv).
         """
         count, nv = len(states), len(self._model.coordinates.names)
         rows = np.array([self._row(state) for state in states])
-        ends = np.cumsum([nv * nv, nv * nv, nv, nv * self._wrenches.shape[1]])
-        mass, inverse, bound, pushes, payload = np.split(rows, ends, axis=1)
+        ends = np.cumsum([nv * nv, nv * nv, nv])
+        mass, inverse, bound, pushes = np.split(rows, ends, axis=1)
         square = count, nv, nv
         of_thrusters = pushes.reshape(count, nv, self._wrenches.shape[1])
-        return mass.reshape(square), inverse.reshape(square), bound, of_thrusters, payload
+        return mass.reshape(square), inverse.reshape(square), bound, of_thrusters
 
     def dynamics(self, state: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Mass matrix (nv, nv), its inverse, and bias (nv) in a state; those of the last states are
-        kept.
+        """Mass matrix (nv, nv), its inverse, and bias (nv) in a state, and the Jacobian of the
+        payload's centre of mass, in the axes of its body (6, nv), zero without a payload; those of
+        the last states are kept.
 
         Raises ValueError: the state is not finite.
         """
@@ -59,9 +59,10 @@ class Models:
                 raise ValueError("the state is not finite")
             plant.SetPositionsAndVelocities(context, state)
             mass = plant.CalcMassMatrix(context)
-            _keep(
-                self._dynamics, key, (mass, np.linalg.inv(mass), plant.CalcBiasTerm(context)), _FEW
-            )
+            bias, moves = plant.CalcBiasTerm(context), np.zeros((6, len(mass)))
+            if self._payload is not None:
+                moves = self._model.calc_point_jacobian(state[: len(mass) + 1], *self._payload)
+            _keep(self._dynamics, key, (mass, np.linalg.inv(mass), bias, moves), _FEW)
         return self._dynamics[key]
 
     def _row(self, state: np.ndarray) -> np.ndarray:
@@ -69,14 +70,12 @@ class Models:
         key = state.tobytes()
         row = self._kept.get(key)
         if row is None:
-            mass, inverse, _ = self.dynamics(state)
-            pushes, payload = np.zeros((len(mass), self._wrenches.shape[1])), np.zeros(0)
+            mass, inverse, *_ = self.dynamics(state)
+            pushes = np.zeros((len(mass), self._wrenches.shape[1]))
             pairs = self._wrenches.reshape(2, 3, -1)
             pushes[:6] = (matrix_of(state[:4]) @ pairs).reshape(6, -1)
-            if self._payload is not None:
-                payload = place(self._model, *self._payload, state)
             bound = self._bounds.of_force(mass, state)
-            parts = mass, inverse, bound, pushes, payload
+            parts = mass, inverse, bound, pushes
             row = np.concatenate([each.ravel() for each in parts])
             _keep(self._kept, key, row, _MOST)
         return row

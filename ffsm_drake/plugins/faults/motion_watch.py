@@ -24,13 +24,13 @@ from ffsm_drake.plugins.faults.features import (
 )
 from ffsm_drake.plugins.faults.hypotheses import ALARM, Hypotheses, Vote, vote, vote_of_chain
 from ffsm_drake.plugins.faults.jam import JAMMED
-from ffsm_drake.plugins.faults.known import CODE, EVERY, SPAN, SUSPECTED
+from ffsm_drake.plugins.faults.known import CODE, SPAN, SUSPECTED
 from ffsm_drake.plugins.faults.known import WINDOWS as SENSOR_WINDOWS
 from ffsm_drake.plugins.faults.memory import Memory
 from ffsm_drake.plugins.faults.panels import SIZE as PANELS
 from ffsm_drake.plugins.faults.panels import SPANS, PanelBound
 from ffsm_drake.plugins.faults.sensor_watch import SLOPE, SensorWatch, Slips
-from ffsm_drake.plugins.faults.windows import BATCH
+from ffsm_drake.plugins.faults.windows import BATCH, EVERY
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 
 _STILL, _NOISES = 2e-5, 6.0  # rad or m; deviations of noise that a joint at rest seems to move
@@ -85,9 +85,9 @@ class MotionWatch(SensorWatch):
     def _slopes(self, memory: Memory, windows: Sequence[int], ago: Sequence[int]) -> Means:
         """Slopes over windows of blocks that ended so many blocks ago."""
         kept = memory.kept[-max(map(operator.add, windows, ago), default=1) :]
-        left, velocity, told = (kept[:, self._at[name]] for name in ("left", "velocity", "impulse"))
+        left, errors, told = (kept[:, self._at[name]] for name in ("left", "errors", "impulse"))
         noise = np.maximum(self._velocity_noise, _NOISE) / np.sqrt(EVERY)
-        return features.slopes(left, velocity, told, noise, EVERY * self._step, windows, ago)
+        return features.slopes(left, errors, told, noise, EVERY * self._step, windows, ago)
 
     def _means(self, memory: Memory, span: int) -> Means:
         """Slopes, then means that are weighted by forces."""
@@ -101,21 +101,19 @@ class MotionWatch(SensorWatch):
 
     def _places(self, memory: Memory, means: Means, panels: PanelBound | None) -> Places:
         """What the middles of windows tell."""
-        middle = -1 - means.middle
-        _, inverse, bound, pushes, payload = self._at_middles(memory, means.middle)
+        _, inverse, bound, pushes = self._at_middles(memory, means.middle)
         if self._wrists.size:
-            q, samples = memory.states[-1, : self._nq], EVERY * means.window
-            bound = bound + self._wrists.error(q, memory.pressed, samples)
+            q = memory.states[-1, : self._nq]
+            bound = bound + self._wrists.error(q, memory.pressed, means.spread)
         moved = memory.kept[:, self._at["moved"]]
         turns = np.abs(moved[-1 - means.ago] - moved[-means.window - means.ago])
         turns[:, 3:NUM_BASE_VELOCITIES] = 0.0
-        of_panels = np.zeros((len(middle), PANELS))
+        of_panels = np.zeros((len(bound), PANELS))
         if panels is not None:
             pairs = zip(means.window.tolist(), means.is_slope.tolist(), strict=True)
             of_panels[:] = [panels.of(window, is_slope=is_slope) for window, is_slope in pairs]
         return Places(
-            inverse=inverse, bound=bound, payload=payload, pushes=pushes,
-            velocity=memory.kept[middle, self._at["velocity"]], panels=of_panels,
+            inverse=inverse, bound=bound, pushes=pushes, panels=of_panels,
             turned=turns.max(axis=1),
         )  # fmt: skip
 

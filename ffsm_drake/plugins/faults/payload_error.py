@@ -5,11 +5,9 @@ It is linear in the errors of mass, first moment and inertia about the nominal c
 """
 
 import numpy as np
-from pydrake.multibody.tree import Frame
 
 from ffsm_drake.common.so3 import skew
 from ffsm_drake.scenario import MassProperties
-from ffsm_drake.spacecraft.nominal import PlantModel
 
 _OFF = 0.2  # uncertain share of the payload's radius of gyration (centre) and moments
 _WIDER = 0.25  # widening of the interval between light and heavy payloads, as a share of it
@@ -37,39 +35,21 @@ def intervals(held: MassProperties, factor: float) -> tuple[np.ndarray, np.ndarr
     return low, high
 
 
-def place(model: PlantModel, frame: Frame, centre: np.ndarray, state: np.ndarray) -> np.ndarray:
-    """Jacobian (6 nv) and bias acceleration (6) of the payload's centre of mass, in the axes of its
-    body, in a state (nq + nv) of the nominal model.
-
-    Args: also the body's frame and the centre of mass (3) in it, m.
-    """
-    q, v = np.split(state, [len(state) // 2 + 1])
-    jacobian = model.calc_point_jacobian(q, frame, centre)
-    turn = _crossing(jacobian[:3] @ v)
-    rotation = model.calc_frame_rotation(q, frame)
-    bias = (model.calc_bias_acceleration(q, v, frame).reshape(2, 3) @ rotation).ravel()
-    bias[3:] += (_crossing(bias[:3]) + turn @ turn) @ centre
-    return np.concatenate([jacobian.ravel(), bias])
-
-
-def force_by_errors(
-    places: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray
-) -> np.ndarray:
+def force_by_errors(jacobian: np.ndarray, twist: np.ndarray, change: np.ndarray) -> np.ndarray:
     """Generalized forces (n, nv, 10) that errors of one unit each need.
 
-    Args: n places as ``place`` returns them; velocities and accelerations (n, nv).
+    Args: Jacobian of the payload's centre of mass, in the axes of its body (n, 6, nv); its twist in
+    these axes (n, 6), and the rate of change of the numbers of the twist (n, 6).
     """
-    nv = velocity.shape[1]
-    jacobian = places[:, : 6 * nv].reshape(-1, 6, nv)
-    turn = (jacobian[:, :3] @ velocity[..., None])[..., 0]
-    moved = (jacobian @ acceleration[..., None])[..., 0] + places[:, 6 * nv :]
-    spin, line, turning = moved[:, :3], moved[:, 3:], _crossing(turn)
-    wrench = np.zeros((len(places), 6, NUM_ERRORS))  # torque and force
+    turn, spin = twist[:, :3], change[:, :3]
+    line = change[:, 3:] + np.cross(turn, twist[:, 3:])
+    crossing = _crossing(turn)
+    wrench = np.zeros((len(twist), 6, NUM_ERRORS))  # torque and force
     wrench[:, 3:, 0] = line
-    wrench[:, 3:, 1:4] = _crossing(spin) + turning @ turning
+    wrench[:, 3:, 1:4] = _crossing(spin) + crossing @ crossing
     wrench[:, :3, 1:4] = -_crossing(line)
     momenta = np.tensordot(np.stack([spin, turn]), _UNIT_INERTIAS, axes=1)
-    wrench[:, :3, 4:] = momenta[0] + turning @ momenta[1]
+    wrench[:, :3, 4:] = momenta[0] + crossing @ momenta[1]
     forces: np.ndarray = jacobian.swapaxes(1, 2) @ wrench
     return forces
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.plugins.faults.correction import Correction, moved
-from ffsm_drake.plugins.faults.known import CODE, EVERY, LEARNT, OLD, WINDOWS
+from ffsm_drake.plugins.faults.known import CODE, LEARNT, OLD, WINDOWS
 from ffsm_drake.plugins.faults.memory import Memory
 from ffsm_drake.plugins.faults.sensors import entries_in_state
-from ffsm_drake.plugins.faults.windows import slope_weights, times_of
+from ffsm_drake.plugins.faults.windows import EVERY, slope_weights, times_of
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, position_error, position_errors
 
 _REPEATED = 5  # samples with the same bits

@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 
+EVERY = 5  # control samples of a block
 BATCH = 4  # blocks that are looked at together while there is no evidence
 
 

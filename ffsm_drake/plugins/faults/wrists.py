@@ -19,7 +19,7 @@ from ffsm_drake.systems.setup import BlockSetup
 # of a measured wrench along v: share by which calibration of place and axes, and changes in a
 # sample, may be off
 _SHARE = 0.01
-_NOISES = 5.0 * np.sqrt(1.2)  # standard deviations of the mean of a slope over n samples, sqrt(n)
+_NOISES = 5.0  # standard deviations of a mean
 FADES = 3.2  # s, in which the largest wrench is forgotten: the longest window
 
 
@@ -49,13 +49,14 @@ class Wrists:
         J = self._jacobian(q)
         return -wrench @ J, np.abs(wrench) @ np.abs(J)
 
-    def error(self, q: np.ndarray, largest: np.ndarray, samples: np.ndarray) -> np.ndarray:
-        """The largest error (F, nv) of the mean force over windows of samples (F).
+    def error(self, q: np.ndarray, largest: np.ndarray, spread: np.ndarray) -> np.ndarray:
+        """The largest error (F, nv) of mean forces.
 
-        Args: configuration (nq); the largest sum of sizes (nv).
+        Args: configuration (nq); the largest sum of sizes (nv); root of the sum of the squares of
+        the weights of samples in each mean (F).
         """
         noise = self._noise @ np.abs(self._jacobian(q))
-        found: np.ndarray = _SHARE * largest + _NOISES * noise / np.sqrt(samples)[:, None]
+        found: np.ndarray = _SHARE * largest + _NOISES * noise * spread[:, None]
         return found
 
     def _jacobian(self, q: np.ndarray) -> np.ndarray:

@@ -235,6 +235,23 @@ def test_a_step_depends_on_its_memory_alone():
     assert 60 < waited < 90
 
 
+@pytest.mark.parametrize("name", [NAME, "two_arms"])
+def test_the_memory_is_used_before_and_after_a_grasp(name):
+    mission = Mission(load_scenario(name, [{"faults": {"detection": {}}}]))
+    memory, random = None, np.random.default_rng(2)
+    for holds in (False, True):
+        nominal = mission.craft.nominal(Grip(holds=holds))
+        setup = BlockSetup(name="detection", mission=mission, nominal=nominal, settings={})
+        detector = Detector(setup)
+        inputs = {each: np.zeros(size) for each, size in detector.inputs.items()}
+        for sample in range(45):
+            state = np.r_[1.0, 1e-5 * random.normal(size=inputs["state"].size - 1)]
+            memory = detector.start(state) if memory is None else memory
+            _, memory = detector.step(inputs | {"state": state}, memory, Now(0.01 * sample))
+        sizes = {each: values.size for each, values in memory.items()}
+        assert sizes == {each: values.size for each, values in detector.start(state).items()}
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("driven", ["[joints]", "[base_rotation, joints]"])
 def test_an_undriven_base_has_no_force(driven):

@@ -13,11 +13,12 @@ from ffsm_drake import load_scenario
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.faults import features
 from ffsm_drake.plugins.faults.box_squares import least_squares
+from ffsm_drake.plugins.faults.correction import moved
 from ffsm_drake.plugins.faults.decision import decided
 from ffsm_drake.plugins.faults.features import Means, Places, rows_of
 from ffsm_drake.plugins.faults.hypotheses import ALARM, Hypotheses, Vote, vote, vote_of_chain
 from ffsm_drake.plugins.faults.panels import AGO, SIZE, SPANS, PanelBound
-from ffsm_drake.plugins.faults.payload_error import force_by_errors, intervals, place
+from ffsm_drake.plugins.faults.payload_error import force_by_errors, intervals
 from ffsm_drake.scenario import MassProperties
 from ffsm_drake.spacecraft.plant import find_frame
 
@@ -109,8 +110,15 @@ def test_the_force_of_a_wrong_payload_is_that_of_another_plant(name):
     pairs = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
     errors = [mass - nominal.mass, *(mass * offset), *(about[pair] for pair in pairs)]
     frame = find_frame(model.plant, payload.body, key="payload.body")
-    at = place(model, frame, centre, state)
-    columns = force_by_errors(at[None], v[None], acceleration[None])[0]
+    twists, step = list[np.ndarray](), 1e-6
+    for way in (-step, step):
+        at = model.calc_point_jacobian(
+            moved(q, way * (v + 0.5 * way * acceleration)), frame, centre
+        )
+        twists.append(at @ (v + way * acceleration))
+    at = model.calc_point_jacobian(q, frame, centre)
+    change = (twists[1] - twists[0]) / (2.0 * step)
+    columns = force_by_errors(at[None], (at @ v)[None], change[None])[0]
     assert columns @ np.array(errors) == pytest.approx(force, rel=1e-6, abs=1e-6)
 
 
@@ -149,11 +157,10 @@ def seen(rng, force_of, *, told=None):
     means = Means(
         window=windows, is_slope=np.ones(count, dtype=bool), middle=windows // 2, ago=0 * windows,
         unexplained=(forces + normal) @ np.linalg.inv(mass) + 1e-5 * rng.normal(size=(count, NV)),
-        acceleration=np.zeros((count, NV)), noise=noise, told=told,
+        errors=np.zeros((count, NV, 0)), spread=np.zeros(count), noise=noise, told=told,
     )  # fmt: skip
     at = Places(
         inverse=np.tile(np.linalg.inv(mass), (count, 1, 1)), bound=np.full((count, NV), BOUND),
-        velocity=np.zeros((count, NV)), payload=np.zeros((count, 0)),
         pushes=np.tile(pushes, (count, 1, 1)), panels=np.zeros((count, 6)), turned=np.zeros(count),
     )  # fmt: skip
     box = np.zeros(10), np.zeros(10)

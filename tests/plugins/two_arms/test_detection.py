@@ -38,10 +38,10 @@ def test_a_measured_wrench_is_the_force_on_the_plant() -> None:
 def test_noise_at_the_wrists_widens_the_bound_of_short_windows() -> None:
     noisy = wrists_of(scenario("contacts.right.force_noise=1", "contacts.right.moment_noise=0.1"))
     (q, *_), none = next(iter(consistent_states(1))), np.zeros(18)
-    long, short = noisy.error(q, none, np.array([320, 20]))
+    long, short = noisy.error(q, none, np.sqrt(1.0 / np.array([320.0, 20.0])))
     assert_allclose(short, 4.0 * long)
     assert short[6:].max() > 0.1
-    assert not wrists_of(scenario()).error(q, none, np.array([20])).any()
+    assert not wrists_of(scenario()).error(q, none, np.array([0.2])).any()
 
 
 def detected(*overrides, name="two_arms_capture", **event):
