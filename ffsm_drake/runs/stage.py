@@ -69,7 +69,7 @@ class Stage:
         return self.loop.blocks[block].memory(self.context(block))
 
     def remember(self, block: str, memory: Arrays) -> None:
-        """Set the memory of a ``Sampled`` block, and its held outputs to zero."""
+        """Set the memory of a ``Sampled`` block."""
         self.loop.blocks[block].remember(self.context(block), memory)
 
     def place(self, state: np.ndarray) -> None:

@@ -58,6 +58,9 @@ class Supervisor:
     retry_factor: float = unitless(
         0.8, "factor on ``plan_share`` for each further plan of a run", above=0, most=1
     )
+    tries: int = setting(
+        3, "1", "largest number of times that a hand with ``contacts.NAME.closes`` closes", least=1
+    )
 
     def check(self, key: str, scenario: Any) -> Problems:
         """Check for a loop that can be damped and planned for."""

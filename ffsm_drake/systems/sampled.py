@@ -243,7 +243,7 @@ class SampledSystem(DividedSystem):
         return self._own.memory(self.GetSubsystemContext(self._own, context))
 
     def remember(self, context: Context, memory: Arrays) -> None:
-        """Set the block's memory, with held outputs of zero."""
+        """Set the block's memory."""
         self._own.remember(self.GetMutableSubsystemContext(self._own, context), memory)
 
 
@@ -365,8 +365,6 @@ class _Stepping(BlockSystem):
     def remember(self, context: Context, memory: Arrays) -> None:
         """See SampledSystem."""
         self._set(context, memory)
-        for name, group in self._held.items():
-            context.SetDiscreteState(group, np.zeros(dict(self._sizes)[name]))
 
     def _set(self, context: Context, memory: Arrays) -> None:
         for name, group in self._memory.items():

@@ -52,6 +52,7 @@ class Cause(enum.IntEnum):
     ERROR = 2
     RATE = 3
     REQUEST = 4
+    MISSED = 5  # by a hand that closes later
 
 
 class SupervisedChain(Protocol):
@@ -63,8 +64,9 @@ class SupervisedChain(Protocol):
         a force (nv). None: the law controls no internal force.
         """
 
-    def follow(self, motion: PlannedMotion, since: float) -> PlannedMotion:
-        """Return a motion that closes the chain, of one that begins ``since`` s after the grasp.
+    def follow(self, motion: PlannedMotion, since: float, closed: float) -> PlannedMotion:
+        """Return a motion that closes the chain, of one that begins ``since`` s after the grasp,
+        when hands with ``closes`` up to ``closed`` (s) hold the target.
 
         Raises ScenarioError: there is none.
         """
@@ -102,8 +104,9 @@ class Supervising(Sampled):
     grasp_time: float  # s
     end: float  # s, of the scenario's own motion
     is_empty: bool  # the gripper
+    closed: float  # s, see ``Grip``
     internal: Any  # the force between the hands, see ``SupervisedChain.kept``
-    in_phase: ClassVar = ("grasp_time", "end", "is_empty")
+    in_phase: ClassVar = ("grasp_time", "end", "is_empty", "closed")
     optional: ClassVar = ("abort_request",)
 
     @property
@@ -120,7 +123,7 @@ class Supervising(Sampled):
         nv = len(self.largest)
         return {
             "mode": 1, "mode_cause": 1, "restart": 1, "force": nv, "held": 2 * nv + 1,
-            "plan": 2 * nv + 4, "asks": 1,
+            "plan": 2 * nv + 5, "asks": 1,
             **({} if self.internal is None else {"internal_force": nv}),
         }  # fmt: skip
 
@@ -128,8 +131,8 @@ class Supervising(Sampled):
         """See Sampled. First entry, ``restart``: 1 while the law restarts and ``force`` acts."""
         sizes = {name: size for name, size in self.outputs.items() if name != "asks"}
         # time of saturation and of little force, s; number of plans; request before; answer: 1 a
-        # plan, 2 none
-        sizes |= dict.fromkeys(("over", "quiet", "plans", "asked", "answer"), 1)
+        # plan, 2 none; whether a hand has just missed
+        sizes |= dict.fromkeys(("over", "quiet", "plans", "asked", "answer", "missed"), 1)
         sizes = {"restart": 1, **sizes, "filtered": sizes["force"]}
         if self.internal is not None:
             sizes |= {"wrenches": self.internal.size, "forgot": 1}
@@ -159,10 +162,12 @@ class Supervising(Sampled):
         state, command = inputs["estimated_state"], inputs["generalized_force"]
         was_damping = memory["mode"] == float(Mode.RATE_DAMPING)
         cause, after = self._causes(inputs, memory, was_damping)
+        has_missed = memory["missed"] != 0.0
+        cause = np.where(has_missed, float(Cause.MISSED), cause)
         acts = cause != 0.0
         after["over"] = np.where(acts, 0.0, after["over"])
         is_planned = memory["answer"] == 1.0
-        flees = acts & (is_empty != 0.0)
+        flees = acts & ((is_empty != 0.0) | has_missed)
         retreats = flees & is_planned
         damps = was_damping | (acts & ~retreats)
 
@@ -192,7 +197,7 @@ class Supervising(Sampled):
             "filtered": np.where(damps, filtered, memory["filtered"]),
             "quiet": np.where(is_over, 0.0, quiet),  # without a plan damping goes on
             "plans": memory["plans"] + np.where(is_planned, 1.0, 0.0),
-            "plan": memory["plan"], "answer": np.zeros_like(memory["answer"]),
+            "plan": memory["plan"], **dict.fromkeys(("answer", "missed"), np.zeros_like(quiet)),
         }  # fmt: skip
         if self.internal is not None:
             after |= self._kept((q, mass_matrix), (clipped, command), memory, after["restart"])
@@ -301,6 +306,7 @@ def supervising(setup: BlockSetup, *, begin: float, waits: bool) -> Supervising:
         grasp_time=begin + scenario.grasp_time,
         end=begin + (make_motion(setup.mission, setup.grip).end if rest is None else rest),
         is_empty=not setup.grip.holds,
+        closed=setup.grip.closed or 0.0,
         internal=None,
     )
 
@@ -312,6 +318,7 @@ class Supervisor(Sampled):
     block: Supervising
     mission: Mission
     chain: SupervisedChain | None  # of several hands
+    shortest: ClassVar = _SHORTEST  # s
     optional: ClassVar = Supervising.optional
 
     @property
@@ -346,12 +353,12 @@ class Supervisor(Sampled):
         return {**memory, "answer": np.array([1.0]), "plan": found}
 
     def motion(self, plan: np.ndarray) -> PlannedMotion:
-        """The motion of a new plan [begin; duration; retreats; q; v] from a state to rest, as a
-        function of the time since its begin. Raises ScenarioError: no motion closes the chain.
+        """The motion of a new plan [begin; duration; retreats; closed; q; v] from a state to rest,
+        as a function of the time since its begin. Raises ScenarioError: no motion closes the chain.
         """
         scenario, coordinates = self.mission.scenario, self.mission.craft.coordinates
         duration = float(plan[1])
-        q, v = np.split(plan[3:].copy(), [len(coordinates.position_names)])
+        q, v = np.split(plan[4:].copy(), [len(coordinates.position_names)])
         goal = None if scenario.reference.goal == "stop" else scenario.target_posture
         if plan[2] and scenario.grasp_time > 0.0:
             goal = approach_posture(self.mission)
@@ -366,7 +373,17 @@ class Supervisor(Sampled):
         )
         if self.chain is None or plan[2]:
             return motion
-        return self.chain.follow(motion, float(plan[0]) - self.block.grasp_time)
+        return self.chain.follow(motion, float(plan[0]) - self.block.grasp_time, float(plan[3]))
+
+    def end(self, memory: Arrays) -> float:
+        """The time (s) at which a new plan ends; 0: there is none; infinite: rates are damped."""
+        if memory["mode"][0] == Mode.RATE_DAMPING:
+            return np.inf
+        return float(memory["plan"][:2].sum()) if memory["plan"][1] else 0.0
+
+    def missed(self, memory: Arrays) -> Arrays:
+        """Return the memory after a late hand has missed its place, for which it plans anew."""
+        return {**memory, "missed": np.ones(1)}
 
     def share(self, plan: np.ndarray, most: np.ndarray) -> float:
         """The largest share of limits (nv) of force that a new plan takes; infinite: no motion
@@ -393,7 +410,7 @@ def plan_anew(
     retreats, duration = bool(block.modes(np.array(time), np.zeros(3))[1]), _SHORTEST
     least, gentlest = np.inf, None
     while duration <= _LONGEST:
-        plan = np.concatenate([[time, duration, retreats], state])
+        plan = np.concatenate([[time, duration, retreats, block.closed], state])
         share = supervisor.share(plan, most)
         if share <= 1.0:
             return plan

@@ -10,13 +10,16 @@ to lower the kinetic energy at every sample while kappa L lambda_max(H^-1 Hhat) 
 docs/rate_damping.md), and replans from the measured (q, v): the scenario's polynomial to the
 target posture, in the first of 5 x 1.15^n s with inverse dynamics within ``plan_share`` of
 every limit. The law restarts. Before the grasp, it replans immediately, without
-damping, back to the start of the approach.
+damping, back to the start of the approach; and after a miss of a hand that closes later, to close
+it at the end of the new plan.
 """
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from pydrake.systems.framework import Context
 
 from ffsm_drake.plugins.capture.modes import (
     SUPERVISED_CHAINS,
@@ -66,7 +69,7 @@ class SupervisorPart(Part):
         supervisor = self.supervisor(setup)
         plan, command = _Plan(supervisor=supervisor), _Command(block=supervisor.block)
         passed = (*plan.outputs, *command.outputs)
-        return CompositeBlock(
+        return _Supervisor(
             "supervisor",
             {
                 "plan": InstantSystem(plan, name="plan"),
@@ -160,6 +163,32 @@ def _events(run: View) -> Iterator[tuple[float, Mode]]:
         yield float(run.time[k]), Mode(int(modes[k]))
 
 
+class _Supervisor(CompositeBlock):
+    """The block, whose memory the phases of late hands read and set."""
+
+    def memory(self, context: Context) -> Arrays:
+        """Return a copy of the memory."""
+        found: Arrays = self._supervising.memory(self._own(context))
+        return found
+
+    def remember(self, context: Context, memory: Arrays) -> None:
+        """Set the memory."""
+        self._supervising.remember(self._own(context), memory)
+
+    @property
+    def block(self) -> Supervisor:
+        """The supervisor with its plans."""
+        found: Supervisor = self._supervising.block
+        return found
+
+    @property
+    def _supervising(self) -> Any:
+        return self.GetSubsystemByName("supervising")
+
+    def _own(self, context: Context) -> Context:
+        return self.GetMutableSubsystemContext(self._supervising, context)
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class _Plan(Continuous):
     """The plan that the law follows, or what replaces it."""
@@ -196,7 +225,7 @@ class _Plan(Continuous):
             self.motions[key] = self.supervisor.motion(plan)
         sample = round(since / step) * step
         row = self.motions[key].row(sample if abs(sample - since) < 1e-9 else since)
-        return np.split(row, [len(plan) - 3])
+        return np.split(row, [len(plan) - 4])
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -63,6 +63,10 @@ class LaneStage(Stage):
     def desired(self) -> np.ndarray:
         """See Stage."""
         row: np.ndarray = self.run.case.planned["reference"][self.begin.sample]
+        if (made := self.run.case.made.supervisor) is not None:
+            plan, period = self.memory("supervisor")["plan"], made.block.sample_time
+            if plan[1] > 0.0:
+                row = made.motion(plan).row((self.begin.sample - round(plan[0] / period)) * period)
         return row[: -len(self.coordinates.names)]
 
     @property
@@ -77,7 +81,7 @@ class LaneStage(Stage):
         """See Stage."""
         if name == "reference" and (own := self.run.case.made.reference) is not None:
             return own.block
-        return self.blocks[name]
+        return self.run.case.made.supervisor if name == "supervisor" else self.blocks[name]
 
     def exchange(self, name: str, block: Continuous) -> None:
         """See Stage."""
@@ -87,25 +91,26 @@ class LaneStage(Stage):
         """See Stage."""
         if block == "reference" and self.followed is not None:
             return self.followed
-        touched = self.begin.cells["touched"]
-        return {name: touched[place] for name, place in self._places(block).items()}
+        cell, places = self._places(block)
+        return {name: self.begin.cells[cell][place] for name, place in places.items()}
 
     def remember(self, block: str, memory: Arrays) -> None:
         """See Stage."""
         if block == "reference":
             self.followed = memory
             return
-        touched = self.begin.cells["touched"].copy()
-        for name, place in self._places(block).items():
-            touched[place] = memory[name]
-        self._set({**self.begin.cells, "touched": touched})
+        cell, places = self._places(block)
+        values = self.begin.cells[cell].copy()
+        for name, place in places.items():
+            values[place] = memory[name]
+        self._set({**self.begin.cells, cell: values})
 
-    def _places(self, block: str) -> dict[str, slice]:
-        """The places of a block's memory among the numbers of its kind."""
+    def _places(self, block: str) -> tuple[str, dict[str, slice]]:
+        """The cell of a block, and the places of its memory there."""
         for each in self.run.blocks.sampled:
-            if f"{each.kind}.{each.name}" == block:
-                return parts(sizes_of(at_start(each.block)), each.first)
-        return {}
+            if block in (f"{each.kind}.{each.name}", each.kind):
+                return each.cell, parts(sizes_of(at_start(each.block)), each.first)
+        return "touched", {}
 
     def place(self, state: np.ndarray) -> None:
         """See Stage."""

@@ -30,7 +30,7 @@ class ClosedMotion(PlannedMotion):
             end=motion.end,
         )
         self._motion = motion
-        self._loads = Loads(mission.scenario, nominal, [0.0])
+        self._loads = Loads(mission.scenario, nominal, {0.0: 0.0})
         self._chain = chain = ClosedChain(nominal, mission.scenario, true=False)
         followers = chain.followers(motion.evaluate(0.0)[0])
         self._following = np.concatenate(followers)

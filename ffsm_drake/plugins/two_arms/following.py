@@ -5,7 +5,8 @@ that is open at the start comes to its place by a polynomial of fifth order in i
 with the position, velocity and acceleration of the closed chain there.
 """
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,32 +35,41 @@ class Following(PlannedMotion):
     """A motion of base and carrying arm, whose closing arms follow."""
 
     def __init__(
-        self, motion: PlannedMotion, mission: Mission, nominal: PlantModel, *, since: float
+        self,
+        motion: PlannedMotion,
+        mission: Mission,
+        nominal: PlantModel,
+        *,
+        since: float,
+        closed: float,
     ) -> None:
         """Args:
           motion: the motion, with first guesses of the joints of the closing arms at its start.
           mission: the mission.
           nominal: the plant with the nominal payload.
-          since: begin of the motion after the grasp of the first hand, s; hands that close later
-            are open until then.
+          since: begin of the motion after the grasp of the first hand, s.
+          closed: hands with ``closes`` up to this time, s, hold the target then. The others close
+            where the motion ends, but not before their time.
 
         Raises ScenarioError: a hand does not reach its place, or an arm is singular.
         """
         self._motion, scenario = motion, mission.scenario
-        period, self._since = scenario.sample_time, since
+        period, closings = scenario.sample_time, closing_times(scenario)
         super().__init__(coordinates=motion.coordinates, sample_time=period, end=motion.end)
         nq, nv = self.coordinates.num_positions, self.coordinates.num_velocities
         row = motion.rows(np.zeros(1))[0]
         chain = ClosedChain(nominal, scenario, ALL_HANDS, true=False)
         close, self._arms = Closing(chain, [row[:nq]], motion.end), list[Reach]()
-        self._loads = Loads(scenario, nominal, closing_times(scenario))
+        end = period * samples_to(motion.end, period)
+        begins = {each: max(each - since, end) if each > closed else 0.0 for each in closings}
+        self._loads = Loads(scenario, nominal, begins)
 
         def rest(time: float) -> np.ndarray:
             joints: np.ndarray = motion.rows(np.array([time]))[0, NUM_BASE_POSITIONS:nq]
             return joints
 
         for loop in chain.loops:
-            begin = max(loop.contact.closes - since, 0.0)
+            begin = begins[loop.contact.closes]
             arm = Arm(close, loop, rest)
             own = fitted(begin, max(motion.end, begin + _LEAST), arm.solve, arm.error)
             velocity = row[nq : nq + nv][loop.joints]
@@ -71,31 +81,38 @@ class Following(PlannedMotion):
 
     def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """See PlannedMotion."""
-        return self._loads.shared(self.evaluate(times), times + self._since, found)
+        return self._loads.shared(self.evaluate(times), times, found)
+
+
+def samples_to(time: float, period: float) -> int:
+    """Return the first sample that is not before a time (s)."""
+    return math.ceil(time / period - _SOON)
 
 
 class Loads:
     """What the hands of a chain carry along a motion, as ``chain.force`` has it."""
 
-    def __init__(self, scenario: Scenario, nominal: PlantModel, latest: Sequence[float]) -> None:
-        """Args: the scenario; the plant with the nominal payload; times after the grasp at which
-        hands close, s.
+    def __init__(
+        self, scenario: Scenario, nominal: PlantModel, begins: Mapping[float, float]
+    ) -> None:
+        """Args: the scenario; the plant with the nominal payload; by the time ``closes`` of hands
+        the time of the motion at which they close, s, in this order.
         """
         self._scenario, self._nominal = scenario, nominal
-        self._latest = np.array(latest)
+        self._closed, self._begins = list(begins), np.array(list(begins.values()))
         self._stages = dict[float, tuple[ClosedChain, InternalControl]]()
 
     def shared(
         self, motion: tuple[np.ndarray, ...], times: np.ndarray, found: dict[str, np.ndarray]
     ) -> dict[str, np.ndarray]:
-        """See PlannedMotion; of q_d, v_d and dv_d/dt (n, ...) at times after the grasp (n,), s."""
+        """See PlannedMotion; of q_d, v_d and dv_d/dt (n, ...) at times of the motion (n,), s."""
         hands, (q, v, a) = list(closing_contacts(self._scenario, ALL_HANDS)), motion
         wrench, force = np.zeros((times.size, 6 * len(hands))), found[FORCE].copy()
-        begun = np.searchsorted(self._latest, times + _SOON, side="right") - 1
+        begun = np.searchsorted(self._begins, times + _SOON, side="right") - 1
         for k in np.unique(begun[begun >= 0]):
-            if not closing_contacts(self._scenario, Grip(closed=self._latest[k])):
+            if not closing_contacts(self._scenario, Grip(closed=self._closed[k])):
                 continue
-            chain, control = self._stage(float(self._latest[k]))
+            chain, control = self._stage(self._closed[k])
             own, of = begun == k, chain.constraints
             wanted = control.load(of, q[own], v[own], a[own]) + control.preload
             acting = [of.jacobian(each).T @ one for each, one in zip(q[own], wanted, strict=True)]

@@ -7,10 +7,15 @@ a plastic impact on the moving stack,
 
 of all rigid hands on the target from then on; the new one holds where it is. Jammed joints are rows
 of A too, and keep their rates. The law goes on with its memory, in the velocities of the chain.
+
+With a supervisor, a hand stays open while rates are damped, up to the end of a new plan. If it
+misses its place, the supervisor plans anew from the measured state, and the hand closes where the
+plan ends.
 """
 
 import dataclasses
 import functools
+import math
 
 import numpy as np
 
@@ -25,6 +30,7 @@ from ffsm_drake.plugins.two_arms.flow import (
     WRENCHES,
     ContactFlow,
 )
+from ffsm_drake.plugins.two_arms.following import samples_to
 from ffsm_drake.runs.ending import MISSED
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import Phase, Phases, Situation, Stop
@@ -35,25 +41,26 @@ from ffsm_drake.scenario.contacts import ALL_HANDS, Grip, closing_contacts, clos
 from ffsm_drake.spacecraft.coordinates import halves
 from ffsm_drake.spacecraft.grasp import plastic_impact
 
+_SUPERVISOR = "supervisor"
 _BLOCK, _FORCE, _OTHER = "forces.contacts", "force_contacts", "force_disturbance"
 
 
 def phases_of_later_hands(mission: Mission, before: Phases) -> Phases:
     """Return the phases of a mission, and one from each closing of a late hand to the next."""
     scenario = mission.scenario
-    times = closing_times(scenario)[1:]
+    first, *times = closing_times(scenario)
     ends = [round((scenario.grasp_time + time) / scenario.sample_time) for time in times]
     kinds = {
-        name: dataclasses.replace(kind, until=ends[0], then=f"hand {times[0]:g}")
+        name: dataclasses.replace(kind, until=ends[0], then=_outcome(times[0]))
         if isinstance(kind, Stop)
         else kind
         for name, kind in before.kinds.items()
     }
-    for time, (until, following) in zip(
-        times, [*zip(ends[1:], times[1:], strict=True), (None, None)], strict=True
-    ):
-        then = "" if following is None else f"hand {following:g}"
-        kinds[f"hand {time:g}"] = Hand(until=until, then=then, time=time, mission=mission)
+    following = [*zip(ends[1:], map(_outcome, times[1:]), strict=True), (None, "")]
+    for closed_before, time, (until, then) in zip([first, *times], times, following, strict=False):
+        kinds[_outcome(time)] = Hand(
+            until=until, then=then, time=time, before=closed_before, mission=mission
+        )
     complete = functools.partial(_complete, scenario)
     return dataclasses.replace(before, kinds=kinds, complete=complete)
 
@@ -63,25 +70,40 @@ class Hand(Stop):
     """A hand closes on the target, unless it is too far from its place."""
 
     time: float  # after the grasp, s
+    before: float  # of the hands that have closed before
     mission: Mission
 
     def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
         """See PhaseKind."""
         scenario, grip = self.mission.scenario, Grip(closed=self.time)
+        at = f"t = {now.sample * scenario.sample_time:g} s"
+        if now.sample >= scenario.num_control_periods:
+            return None, now.failing(MISSED, f"the hand of {self._name} is still open at {at}")
+        if (due := self._due(now)) > now.sample:
+            return self._open(f"{self._name} waits", due), now
         envelope = Envelope() if scenario.capture is None else scenario.capture.envelope
         missed = beyond(self.mission, now.stage.state, grip, envelope)
         if not missed:
-            return Phase(names=(("stop", self.until),), grip=grip, afresh=(_BLOCK,)), now
-        (name, *_) = (name for name, each in scenario.contacts.items() if each.closes == self.time)
-        at = f"t = {now.sample * scenario.sample_time:g} s"
-        missed = f"the hand of contacts.{name} misses its place at {at}: {missed}"
-        return None, now.failing(MISSED, missed)
+            until = None if self.until is None else max(self.until, now.sample + 1)
+            return Phase(names=(("stop", until),), grip=grip, afresh=(_BLOCK,)), now
+        tries = 1 + sum(name == self._again for name, _ in now.names)
+        if scenario.supervisor is not None and tries < scenario.supervisor.tries:
+            return self._open(self._again, now.sample + self._shortest(now)), now
+        missed = f"the hand of {self._name} misses its place at {at}: {missed}"
+        return None, now.failing(MISSED, missed if tries == 1 else f"{missed}, in try {tries}")
+
+    def judge(self, now: Situation) -> tuple[str, Situation]:
+        """Whether the hand has closed."""
+        is_open = now.names[-1][0] in (self._again, f"{self._name} waits")
+        return (_outcome(self.time) if is_open else self.then), now
 
     def enter(self, now: Situation, phase: Phase, stage: Stage) -> Situation:
-        """Close the hands of the phase."""
+        """Close the hands of the phase, if it is not open."""
         payload = self.mission.scenario.payload.truth
         if now.made is not None:
             stage.carry(payload := now.made.payload)
+        if phase.grip.closed != self.time:
+            return self._enter_open(now, phase, stage)
         series = now.logs[-1].series
         work = series[LOSS][-1].item() if LOSS in series else 0.0
         flow = stage.block(_BLOCK).with_payload(payload)
@@ -89,8 +111,53 @@ class Hand(Stop):
         flow, state = closed(flow, now.stage.state, work=work, time=time)
         stage.exchange(_BLOCK, flow)
         stage.place(state)
-        stage.resume(now.stage, stage.desired, afresh=phase.afresh)
+        stage.resume(now.stage, now.stage.desired, afresh=phase.afresh)
         return now
+
+    @property
+    def _name(self) -> str:
+        contacts = self.mission.scenario.contacts.items()
+        return next(f"contacts.{name}" for name, each in contacts if each.closes == self.time)
+
+    @property
+    def _again(self) -> str:
+        """The name of the phases after a miss."""
+        return f"{self._name} again"
+
+    def _due(self, now: Situation) -> int:
+        """The sample at which the hand closes, as far as is known."""
+        scenario = self.mission.scenario
+        if scenario.supervisor is None:
+            return now.sample
+        end = now.stage.block(_SUPERVISOR).end(now.stage.memory(_SUPERVISOR))
+        if math.isinf(end):  # damping: no plan ends earlier
+            return now.sample + self._shortest(now)
+        return samples_to(end, scenario.sample_time)
+
+    def _shortest(self, now: Situation) -> int:
+        """The samples of the shortest plan."""
+        shortest: float = now.stage.block(_SUPERVISOR).shortest
+        return samples_to(shortest, self.mission.scenario.sample_time)
+
+    def _open(self, name: str, until: int) -> Phase:
+        """A phase with the hand open, up to a sample or the end of the run."""
+        until = min(until, self.mission.scenario.num_control_periods)
+        return Phase(names=((name, until),), grip=Grip(closed=self.before))
+
+    def _enter_open(self, now: Situation, phase: Phase, stage: Stage) -> Situation:
+        """The situation in an open phase; after a miss, the supervisor plans anew."""
+        if closing_contacts(self.mission.scenario, phase.grip):
+            stage.exchange(_BLOCK, now.stage.block(_BLOCK))
+        now = super().enter(now, phase, stage)
+        if phase.names[0][0] == self._again:
+            supervisor = stage.block(_SUPERVISOR)
+            stage.remember(_SUPERVISOR, supervisor.missed(stage.memory(_SUPERVISOR)))
+        return now
+
+
+def _outcome(time: float) -> str:
+    """The outcome that leads to the closing of a hand, ``time`` s after the grasp."""
+    return f"hand {time:g}"
 
 
 def closed(

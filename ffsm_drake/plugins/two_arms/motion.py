@@ -73,7 +73,8 @@ class ChainMotion(PlannedMotion):
         # begin and end in the phase
         begin, end, closed = 0.0, motion.end, nominal.grip.closed
         self._scenario = scenario
-        self._loads = Loads(scenario, nominal, closings if closed is None else [closed])
+        latest = closings if closed is None else [closed]
+        self._loads = Loads(scenario, nominal, dict(zip(latest, latest, strict=True)))
         if closed is not None:
             begin = closed
             end = min([each for each in closings if each > closed], default=max(end, closed))

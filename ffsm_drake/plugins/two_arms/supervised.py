@@ -88,11 +88,12 @@ class SupervisedChain:
             size=6 * len(names),
         )
 
-    def follow(self, motion: PlannedMotion, since: float) -> PlannedMotion:
+    def follow(self, motion: PlannedMotion, since: float, closed: float) -> PlannedMotion:
         """Return a motion that closes the chain, of one of all coordinates.
 
-        Args: the motion; its begin after the grasp of the first hand, s.
+        Args: the motion; its begin after the grasp of the first hand, s; ``closed``: see ``Grip``.
 
         Raises ScenarioError: a hand does not reach its place, or an arm is singular.
         """
-        return Following(motion, self._setup.mission, self._setup.nominal, since=since)
+        setup = self._setup
+        return Following(motion, setup.mission, setup.nominal, since=since, closed=closed)

@@ -63,6 +63,12 @@ def drawn(kind, seed, lanes=LANES, also=()):
             "supervisor={saturated_time: 0.05, end_share: 0.9, end_time: 0.1, plan_share: 1}",
             f"chain.force.preload=[0, 0, 0, 0, 0, {preload}]",
         ]
+    if kind == "tries":  # the first one misses
+        given += ["actuation.limit={joints: 40}", "supervisor={plan_share: 1, saturated_time: 9}"]
+        given.append("capture.envelope.angle=0.01")
+        lasts = round(random.uniform(1.0, 2.0), 2)
+        jam = f"unit: joints.right_2, kind: jammed, time: 0.05, duration: {lasts}"
+        given.append(f"faults.events={{one: {{{jam}}}}}")
     if kind == "missed":
         given.append("sensing.position_bias={right_1: 0.1}")
         width = "{position: 0.5, angle: 0.2, velocity: null}"
@@ -72,7 +78,8 @@ def drawn(kind, seed, lanes=LANES, also=()):
         closes = round(random.uniform(0.2, 0.7), 2) * is_late
         mass, rate = random.uniform(80.0, 125.0), random.uniform(-0.04, 0.04, 3).tolist()
         each = [f"random_seed={k}", f"payload.truth.mass={mass}", f"capture.rate={rate}"]
-        each.append(f"duration={1.6 if approaches else 1.0}")
+        ends_late = kind in ("tries", "supervised late")  # closes with a new plan
+        each.append(f"duration={8.0 if ends_late else 1.6 if approaches else 1.0}")
         scenario = load_scenario("two_arms_capture", [*given, *each, *also])
         found.append(scenario.replace(contacts={"right": {"closes": closes}}))
     return found
@@ -89,7 +96,17 @@ def test_a_second_hand_has_the_run_of_drake():
 @pytest.mark.long
 @pytest.mark.parametrize(
     "kind",
-    ["late", "both", "approach", "missed", "flight", "faulty", "supervised", "supervised late"],
+    [
+        "late",
+        "both",
+        "approach",
+        "missed",
+        "flight",
+        "faulty",
+        "supervised",
+        "supervised late",
+        "tries",
+    ],
 )
 @pytest.mark.parametrize("seed", range(DRAWS))
 def test_drawn_hands_have_the_runs_of_drake(kind, seed):
@@ -100,6 +117,9 @@ def test_drawn_hands_have_the_runs_of_drake(kind, seed):
         assert statuses == {
             "missed" if found[0].scenario.capture.envelope.velocity else "completed"
         }
+    if kind == "tries":
+        assert statuses == {"completed"}
+        assert all(record.dataset["mode_cause"].values.max() == 5 for record in found)
     for record in found:
         assert record.engine.startswith("compiled")
         if record.outcome.status == "completed" and kind != "faulty":

@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose
 
 from ffsm_drake import ScenarioError, load_scenario, simulate
 from ffsm_drake.mission import Mission
-from ffsm_drake.plugins.capture.modes import Mode
+from ffsm_drake.plugins.capture import modes
+from ffsm_drake.plugins.capture.modes import Cause, Mode
 from ffsm_drake.plugins.capture.supervisor import SupervisorPart
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.plugins.two_arms.chain_model import minimal_model
@@ -16,6 +17,7 @@ from ffsm_drake.plugins.two_arms.supervised import SupervisedChain
 from ffsm_drake.scenario.contacts import ALL_HANDS
 from ffsm_drake.spacecraft.coordinates import position_error
 from ffsm_drake.spacecraft.plant import configuration
+from ffsm_drake.systems.sampled import Now
 from ffsm_drake.systems.setup import BlockSetup
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "1"))
@@ -98,34 +100,38 @@ def test_what_the_supervisor_keeps(seed):
 
 
 @pytest.mark.parametrize("seed", range(3 * DRAWS))
-@pytest.mark.parametrize("late", [False, True])
+@pytest.mark.parametrize("late", ["", "open", "closed"])
 def test_a_new_plan_closes_the_chain_at_every_sample(seed, late):
-    """From a measured state with noise and calibration errors, to the target posture and rest."""
+    """From a measured state with noise and calibration errors, to the target posture and rest. A
+    hand that is open closes where the plan ends, but not before its time.
+    """
     random = np.random.default_rng(seed)
     setup = setup_of(*([LATE] if late else []))
     supervisor = SupervisorPart().supervisor(setup)
     period = setup.sample_time
     whole = ClosedChain(setup.nominal, setup.scenario, ALL_HANDS, true=False)
     q = posture(setup)
-    q = q if late else whole.closed(q)
+    q = q if late == "open" else whole.closed(q)
     q[7:] += random.uniform(-0.02, 0.02, q.size - 7)
     q[4:7] += random.uniform(-0.1, 0.1, 3)
     v = random.uniform(-0.02, 0.02, q.size - 1)
-    begin, duration = 1.0, 12.0
-    plan = np.concatenate([[begin, duration, 0.0], q, v])
+    begin = {"closed": random.uniform(3.0, 6.0)}.get(late, random.uniform(0.0, 6.0))
+    duration = random.uniform(1.0, 12.0)
+    begin = round(begin / period) * period
+    plan = np.concatenate([[begin, duration, 0.0, 3.0 * (late == "closed")], q, v])
     motion = supervisor.motion(plan)
     times = np.arange(0.0, duration + 2.0, period)
     rows = motion.rows(times)
     places, rates, _ = np.split(rows, [q.size, 2 * q.size - 1], axis=1)
-    closes = 3.0 - begin if late else 0.0
-    for time, place, rate in zip(times, places, rates, strict=True):
-        if time >= closes - 1e-9:
+    closes = max(3.0 - begin, duration) if late == "open" else 0.0
+    for time, place, rate in list(zip(times, places, rates, strict=True))[:: 1 + 4 * bool(late)]:
+        if time >= closes + period:
             assert np.abs(whole.gap(place)).max() < 1e-9
             assert np.abs(whole.jacobian(place) @ rate).max() < 1e-7
     free = np.setdiff1d(np.arange(q.size - 1), whole.loops[0].joints)
     assert_allclose(position_error(q, places[0])[free], 0.0, atol=1e-9)
     assert_allclose(rates[0][free], v[free], atol=1e-9)
-    if late:  # from where the arm is, without a step
+    if late == "open":  # from where the arm is, without a step
         joints = whole.loops[0].joints
         assert_allclose(places[0][joints + 1], q[joints + 1], atol=1e-12)
         assert_allclose(rates[0][joints], v[joints], atol=1e-12)
@@ -148,10 +154,40 @@ def test_a_plan_out_of_reach_is_none():
     supervisor = SupervisorPart().supervisor(setup)
     q = posture(setup)
     q[7:] = 0.0
-    plan = np.concatenate([[0.0, 10.0, 0.0], q, np.zeros(q.size - 1)])
+    plan = np.concatenate([[0.0, 10.0, 0.0, 0.0], q, np.zeros(q.size - 1)])
     with pytest.raises(ScenarioError, match="no motion of the closed chain"):
         supervisor.motion(plan)
     assert supervisor.share(plan, supervisor.block.limit) == np.inf
+
+
+@pytest.mark.parametrize("seed", range(2 * DRAWS))
+@pytest.mark.parametrize("is_weak", [False, True])
+def test_after_a_miss_it_plans_at_once_or_damps(seed, is_weak, monkeypatch):
+    """In the sample after the miss, from what is measured; it damps if no plan is within limits."""
+    random = np.random.default_rng(seed)
+    if is_weak:  # one plan is tried
+        monkeypatch.setattr(modes, "_LONGEST", 5.0)
+    setup = setup_of(LATE, *(["actuation.limit={all: 1.0e-6}"] * is_weak))
+    supervisor = SupervisorPart().supervisor(setup)
+    q = posture(setup)
+    q[7:] += random.uniform(-0.02, 0.02, q.size - 7)
+    state = np.concatenate([q, random.uniform(-0.02, 0.02, q.size - 1)])
+    inputs = {"estimated_state": state, "desired_state": state, "abort_request": np.zeros(1),
+              "generalized_force": np.zeros(q.size - 1)}  # fmt: skip
+    now = Now(round(random.uniform(0.0, 9.0), 2), supervisor.block.phase(0))
+    before = supervisor.start()
+    _, waits = supervisor.step(inputs, before, now)
+    assert waits["mode_cause"] == Cause.NONE
+    assert supervisor.end(waits) == 0.0
+    found, after = supervisor.step(inputs, supervisor.missed(before), now)
+    assert found["mode"] == (Mode.RATE_DAMPING if is_weak else Mode.STOP)
+    assert found["mode_cause"] == Cause.MISSED
+    assert found["restart"] == 1.0
+    assert after["missed"] == 0.0
+    assert np.isinf(supervisor.end(after)) == is_weak
+    if not is_weak:
+        assert supervisor.end(after) >= now.time + supervisor.shortest
+        assert_allclose(after["plan"][4:], state)
 
 
 HARD = ("supervisor={saturated_time: 0.05}", "reference.duration=4")
