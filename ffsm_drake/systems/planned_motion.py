@@ -128,6 +128,10 @@ class InTurn(PlannedMotion):
             rows = np.where((times > begin - 1e-9)[:, None], motion.rows(times - begin), rows)
         return rows
 
+    def remarks(self) -> list[str]:
+        """See PlannedMotion: of the last motion."""
+        return self._motions[-1][1].remarks()
+
     def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """See PlannedMotion: the target is held in the last motion."""
         begin, last = self._motions[-1]

@@ -6,7 +6,7 @@ arms have the positions, rates and accelerations that close the loops, so no pla
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from pydrake.math import RotationMatrix
@@ -26,7 +26,17 @@ from ffsm_drake.spacecraft.nominal import PlantModel, damping_of
 from ffsm_drake.systems.plan import DEGREE, Plan
 from ffsm_drake.systems.reference import make_motion
 
-PLANNED_CHAINS = Registry[Callable[[Mission], Any]]("planned_chains")
+
+class PlannedChains(Protocol):
+    """Returns the programs of the chain of a mission."""
+
+    def __call__(self, mission: Mission) -> Any: ...
+
+    def begun(self, mission: Mission) -> Mission:
+        """Return the mission from the time on at which a plan of the given one begins."""
+
+
+PLANNED_CHAINS = Registry[PlannedChains]("planned_chains")
 _OPEN = 1e-6  # m, rad; gap that counts as a limit exceeded
 _ANY = 1e3  # rad or m; instead of a missing limit of position
 _FITTED = 8  # instants per segment at which the followers of a plan are fitted

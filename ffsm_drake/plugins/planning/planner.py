@@ -15,7 +15,7 @@ from ffsm_drake.common.numbers import short
 from ffsm_drake.common.so3 import rotation_error
 from ffsm_drake.common.steps import step
 from ffsm_drake.mission import Mission
-from ffsm_drake.plugins.planning.chain_dynamics import ChainDynamics
+from ffsm_drake.plugins.planning.chain_dynamics import PLANNED_CHAINS, ChainDynamics
 from ffsm_drake.plugins.planning.curve import INSTANTS
 from ffsm_drake.plugins.planning.inverse_dynamics import FreeDynamics, InverseDynamics
 from ffsm_drake.plugins.planning.motion_limits import (
@@ -89,12 +89,12 @@ class _Planner:
     ) -> None:
         self._begun, self._evaluations = time.perf_counter(), 0
         self._time_limit = time_limit
+        mission = Mission(scenario)
+        if len(scenario.contacts) > 1:
+            mission = PLANNED_CHAINS.load("contacts", "contacts").begun(mission)
+        self._begins = "initial_posture" if mission.scenario is scenario else "last closing"
+        self._mission, scenario = mission, mission.scenario
         self._scenario, self._progress = scenario, progress
-        for name, contact in scenario.contacts.items():
-            if contact.closes:
-                problem = "a plan is for hands that hold the target from its start; set 0"
-                raise ScenarioError(f"contacts.{name}.closes", problem)
-        self._mission = mission = Mission(scenario)
         model = self._model = mission.craft.nominal()
         self._limits = motion_limits(mission)
         hands = closing_contacts(scenario, ALL_HANDS).values()
@@ -149,7 +149,7 @@ class _Planner:
                 f"no plan: {names[i]} starts at {rate[i]:.4g} {units[i]}/s, beyond its limit of "
                 f"{limits.rate[i]:.4g}"
             )
-        for what, posture in (("initial_posture", self._start), ("target_posture", self._target)):
+        for what, posture in ((self._begins, self._start), ("target_posture", self._target)):
             if posture is None:
                 continue
             joints = np.r_[np.zeros(NUM_BASE_VELOCITIES), posture[NUM_BASE_POSITIONS:]]

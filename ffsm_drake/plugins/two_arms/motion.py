@@ -14,6 +14,7 @@ from scipy.interpolate import BSpline
 
 from ffsm_drake.common.so3 import turned_by
 from ffsm_drake.mission import Mission, planned
+from ffsm_drake.plugins.two_arms.after_closing import PlannedAfterClosing
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, newton_step
 from ffsm_drake.plugins.two_arms.closed_motion import ClosedMotion
 from ffsm_drake.plugins.two_arms.following import (
@@ -242,6 +243,8 @@ def closed_motion(motion: PlannedMotion, mission: Mission, nominal: PlantModel) 
     """The motion of a chain: along a plan, or of the target along the path of a polynomial. Raises
     the errors of both.
     """
-    if mission.scenario.reference.kind == "optimal":
-        return ClosedMotion(motion, mission, nominal)
-    return ChainMotion(motion, mission, nominal)
+    if mission.scenario.reference.kind != "optimal":
+        return ChainMotion(motion, mission, nominal)
+    if len(closing_times(mission.scenario)) > 1:
+        return PlannedAfterClosing(motion, mission, nominal.grip)
+    return ClosedMotion(motion, mission, nominal)

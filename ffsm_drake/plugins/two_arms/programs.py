@@ -17,6 +17,7 @@ from ffsm_drake.plugins.equations.tree import Place, Reader
 from ffsm_drake.plugins.tape.arrays import inputs, traced
 from ffsm_drake.plugins.tape.numbers import Tape
 from ffsm_drake.plugins.tape.programs import Program
+from ffsm_drake.plugins.two_arms.after_closing import from_last_closing
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Closure
 from ffsm_drake.plugins.two_arms.closed_motion import ClosedMotion
 from ffsm_drake.plugins.two_arms.internal import planned_control
@@ -38,6 +39,8 @@ class _Model(TracedModel):
 
 class ChainPrograms:
     """The nominal chain of a mission; columns (n) are states, in the axes of the base."""
+
+    begun = staticmethod(from_last_closing)  # the mission of a plan
 
     def __init__(self, mission: Mission) -> None:
         """Raises ScenarioError: a hand does not reach; NotCovered: parts of the model."""

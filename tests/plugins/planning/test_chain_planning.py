@@ -9,16 +9,22 @@ from numpy.testing import assert_allclose
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
 
-from ffsm_drake import Scenario, ScenarioError, load_scenario, make_nominal_plant, simulate
+from ffsm_drake import Scenario, load_scenario, make_nominal_plant, simulate
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.planning.chain_dynamics import ChainDynamics
 from ffsm_drake.plugins.planning.inverse_dynamics import complex_step
 from ffsm_drake.plugins.planning.motion_limits import motion_limits
-from ffsm_drake.plugins.planning.planner import PlanningError, plan_motion
+from ffsm_drake.plugins.planning.planner import PlanningError, _Planner, plan_motion
+from ffsm_drake.plugins.two_arms.after_closing import from_last_closing
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
+from ffsm_drake.scenario import Grip
+from ffsm_drake.scenario.contacts import ALL_HANDS
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.spacecraft.limits import FORCE
+from ffsm_drake.spacecraft.plant import configuration
+from ffsm_drake.systems.plan import Plan
 from ffsm_drake.systems.reference import make_motion, timed
+from ffsm_drake.systems.start import velocity_at_start
 
 LIMIT = {"actuation": {"limit": {"joints": 4.0}}}
 HAND = {"contacts": {"right": {"force_limit": 6.0, "moment_limit": 3.0}}}
@@ -137,6 +143,83 @@ def test_an_infeasible_plan_names_the_limit(overrides: list[str], words: str) ->
                     time_limit=20.0)  # fmt: skip
 
 
-def test_a_late_hand_is_refused() -> None:
-    with pytest.raises(ScenarioError, match=r"contacts\.right\.closes: a plan is for hands"):
-        plan_motion(limited("contacts.right.closes=2"))
+AWAY = {"right_1": 1.2, "right_2": 1.2, "right_3": -1.2, "right_4": 0.2, "right_6": -1.2}
+
+
+def late(seed: int, **changes: Any) -> Scenario:
+    """A target, at rest or tumbling, whose second hand closes at a drawn time."""
+    random = np.random.default_rng(seed)
+    name = ("two_arms", "two_arms_capture")[seed % 2]
+    closes = f"contacts.right.closes={random.uniform(1.0, 3.0):.2f}"
+    given = limited(closes, "planning.segments=6", "reference.duration=8", name=name)
+    return given.replace(**{"initial_posture": {"joints": AWAY}, **changes})
+
+
+def first_guess(scenario: Scenario) -> Plan:
+    """The plan with which the search begins."""
+    planner = _Planner(scenario, lambda line: None, 10.0)
+    problem = planner._problem(planner._dynamics)
+    return planner._plan_of(planner._first_guess(problem, 0.0))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_mission_of_a_plan_begins_at_the_last_closing(seed: int) -> None:
+    """Where the polynomial is then, at its rates, with every hand on the target and no impact."""
+    mission = Mission(late(seed))
+    begun = from_last_closing(mission)
+    q, v, _ = make_motion(mission).evaluate(mission.scenario.contacts["right"].closes)
+    model = begun.craft.nominal()
+    start = configuration(model.coordinates, begun.scenario.initial_posture, key="")
+    assert_allclose(start, q, atol=1e-12)
+    assert_allclose(velocity_at_start(begun, model), v, atol=1e-6)
+    assert np.abs(v).max() > 1e-3
+    assert not any(each.closes for each in begun.scenario.contacts.values())
+    assert np.abs(ClosedChain(model, begun.scenario, true=False).gap(start)).max() < 1e-9
+    assert from_last_closing(begun) is begun
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+def test_a_plan_begins_at_the_closing_of_a_late_hand(tmp_path: Path, seed: int) -> None:
+    """Up to then, it is the polynomial with the load on the first hand; then both share it."""
+    scenario = late(seed)
+    plan = first_guess(scenario)
+    plan.save(tmp_path / "plan.yaml", title="")
+    flown = scenario.replace(reference={"kind": "optimal", "plan": str(tmp_path / "plan.yaml")})
+    mission, closes = Mission(flown), flown.contacts["right"].closes
+    motion, polynomial = make_motion(mission), make_motion(Mission(scenario))
+    model, chain = mission.craft.nominal(), ClosedChain(mission.craft.nominal(), flown, ALL_HANDS,
+                                                        true=False)  # fmt: skip
+    assert motion.end == closes + plan.end
+    assert motion.remarks() == []
+    before = np.linspace(0.0, closes - 1e-3, 20)
+    assert_allclose(motion.rows(before), polynomial.rows(before), atol=1e-12)
+    found, expected = (each.demand(model, before) for each in (motion, polynomial))
+    assert_allclose(found[FORCE], expected[FORCE], atol=1e-9)
+    assert not found["contact_wrench"].any()
+    nq, nv = len(model.coordinates.position_names), len(model.coordinates.names)
+    jump = motion.row(closes) - polynomial.row(closes)
+    assert_allclose(jump[: nq + nv], 0.0, atol=1e-4)
+    times = np.linspace(closes, motion.end, 20)
+    for q, v, a in zip(*motion.evaluate(times), strict=True):
+        assert_allclose(chain.gap(q), 0.0, atol=1e-9)
+        assert_allclose(chain.jacobian(q) @ v, 0.0, atol=1e-8)
+        assert_allclose(chain.jacobian(q) @ a + chain.bias(q, v), 0.0, atol=1e-8)
+    assert motion.demand(model, times)["contact_wrench"].any()
+    assert closes in motion.instants(50)
+    phases = [make_motion(mission, Grip(closed=each)) for each in (0.0, closes)]
+    assert [(each.begin, each.end) for each in phases] == [(0.0, closes), (closes, motion.end)]
+    longer = Mission(flown.replace(reference={"duration": 9.0}))
+    assert "make a plan for this scenario with 'ffsm plan'" in make_motion(longer).remarks()[0]
+
+
+@pytest.mark.long
+def test_a_late_hand_is_planned_and_flown(tmp_path: Path) -> None:
+    scenario = late(1)
+    found = plan_motion(scenario, time_limit=60.0)
+    found.plan.save(tmp_path / "plan.yaml", title="")
+    plan = {"kind": "optimal", "plan": str(tmp_path / "plan.yaml")}
+    run = simulate(scenario.replace(reference=plan, duration=15.0), check_stability=False)
+    assert run.ending.is_settled
+    assert run.metrics["contacts"]["gap"] < 1e-6
+    assert run.metrics["contacts"]["closing"]["distance"] < 1e-4
