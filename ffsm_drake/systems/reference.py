@@ -103,7 +103,7 @@ def _from_start(mission: Mission, grip: Grip) -> PlannedMotion:
     if reference.kind == "optimal":
         plan = load_plan(reference.plan or "", coordinates)
         path = PathMotion(plan, coordinates=coordinates, sample_time=scenario.sample_time)
-        return _follow(mission, nominal, path)
+        return followed(mission, nominal, path)
     velocity = velocity_at_start(mission, nominal) if scenario.starts_moving else None
 
     @functools.cache
@@ -117,7 +117,7 @@ def _from_start(mission: Mission, grip: Grip) -> PlannedMotion:
             sample_time=scenario.sample_time,
             velocity=velocity,
         )
-        return _follow(mission, nominal, polynomial)
+        return followed(mission, nominal, polynomial)
 
     duration = reference.duration
     if duration is None:
@@ -126,7 +126,7 @@ def _from_start(mission: Mission, grip: Grip) -> PlannedMotion:
     return motion_in(duration)
 
 
-def _follow(mission: Mission, nominal: PlantModel, motion: PlannedMotion) -> PlannedMotion:
+def followed(mission: Mission, nominal: PlantModel, motion: PlannedMotion) -> PlannedMotion:
     """Return a motion along a prescribed frame path: joints follow the frame, undriven coordinates
     the conservation of momentum. A closed chain's follow its target.
     """

@@ -13,13 +13,14 @@ from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.approach import approach_posture
 from ffsm_drake.plugins.capture.postures import posture_of
 from ffsm_drake.scenario import Reference
+from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.limits import FORCE
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.blend import Blend
 from ffsm_drake.systems.mission_limits import actuation_limit
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
-from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.reference import followed, make_motion
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -88,7 +89,7 @@ class Supervising(Sampled):
     ``Supervisor.answered`` returns.
     """
 
-    model: PlantModel  # the nominal one
+    model: PlantModel  # the nominal one, reduced to the driven coordinates
     largest: np.ndarray  # limits (nv) of the force that saturates
     limit: np.ndarray  # limits (nv) of the damping force
     error: np.ndarray  # bounds (nv)
@@ -96,7 +97,7 @@ class Supervising(Sampled):
     is_bounded: bool
     waits: bool
     saturated_time: np.ndarray  # s
-    damping: np.ndarray  # 1/s
+    damping: np.ndarray  # (nv) 1/s
     share: np.ndarray  # of the low pass, in a sample
     end_share: np.ndarray
     end_time: np.ndarray  # s
@@ -276,7 +277,12 @@ def supervising(setup: BlockSetup, *, begin: float, waits: bool) -> Supervising:
     scenario, coordinates, settings = setup.scenario, setup.coordinates, setup.scenario.supervisor
     assert settings is not None
     largest, limit = (
-        actuation_limit(scenario, coordinates, helped=helped).upper for helped in (True, False)
+        np.where(
+            coordinates.is_driven,
+            actuation_limit(scenario, coordinates, helped=helped).upper,
+            np.inf,
+        )
+        for helped in (True, False)
     )
     if not np.isfinite(limit).any():
         raise ScenarioError(
@@ -285,12 +291,16 @@ def supervising(setup: BlockSetup, *, begin: float, waits: bool) -> Supervising:
             "actuation.thrusters or actuation.wheels",
         )
     error, rate = (
-        coordinates.vector(given or {}, key=f"supervisor.{name}", default=np.inf)
+        np.where(
+            coordinates.is_driven,
+            coordinates.vector(given or {}, key=f"supervisor.{name}", default=np.inf),
+            np.inf,
+        )
         for name, given in (("error", settings.error), ("rate", settings.rate))
     )
     rest = scenario.planned_end  # of the scenario's own motion, s
     return Supervising(
-        model=setup.nominal,
+        model=driven_model(setup.nominal),
         largest=largest,
         limit=limit,
         error=error,
@@ -298,7 +308,7 @@ def supervising(setup: BlockSetup, *, begin: float, waits: bool) -> Supervising:
         is_bounded=bool(np.isfinite([error, rate]).any()),
         waits=waits,
         saturated_time=np.array(settings.saturated_time),
-        damping=np.array(settings.damping),
+        damping=settings.damping * coordinates.is_driven,
         share=np.array(min(1.0, setup.sample_time / settings.filter_time)),
         end_share=np.array(settings.end_share),
         end_time=np.array(settings.end_time),
@@ -317,6 +327,7 @@ class Supervisor(Sampled):
 
     block: Supervising
     mission: Mission
+    nominal: PlantModel  # the whole one
     chain: SupervisedChain | None  # of several hands
     shortest: ClassVar = _SHORTEST  # s
     optional: ClassVar = Supervising.optional
@@ -354,7 +365,8 @@ class Supervisor(Sampled):
 
     def motion(self, plan: np.ndarray) -> PlannedMotion:
         """The motion of a new plan [begin; duration; retreats; closed; q; v] from a state to rest,
-        as a function of the time since its begin. Raises ScenarioError: no motion closes the chain.
+        as a function of the time since its begin. Raises ScenarioError: no motion closes the chain,
+        or no undriven coordinates follow it.
         """
         scenario, coordinates = self.mission.scenario, self.mission.craft.coordinates
         duration = float(plan[1])
@@ -371,8 +383,10 @@ class Supervisor(Sampled):
             sample_time=scenario.sample_time,
             velocity=v,
         )
-        if self.chain is None or plan[2]:
+        if plan[2]:
             return motion
+        if self.chain is None:
+            return followed(self.mission, self.nominal, motion)
         return self.chain.follow(motion, float(plan[0]) - self.block.grasp_time, float(plan[3]))
 
     def end(self, memory: Arrays) -> float:
@@ -386,8 +400,8 @@ class Supervisor(Sampled):
         return {**memory, "missed": np.ones(1)}
 
     def share(self, plan: np.ndarray, most: np.ndarray) -> float:
-        """The largest share of limits (nv) of force that a new plan takes; infinite: no motion
-        closes the chain.
+        """The largest share of limits (nv) of force that a new plan takes; infinite: there is no
+        such motion.
         """
         times = np.linspace(0.0, float(plan[1]), _INSTANTS)
         try:

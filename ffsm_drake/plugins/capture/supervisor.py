@@ -89,7 +89,7 @@ class SupervisorPart(Part):
         if len(setup.scenario.contacts) > 1:
             chain = SUPERVISED_CHAINS.load("contacts", "contacts")(setup)
             block = dataclasses.replace(block, internal=chain.kept())
-        return Supervisor(block=block, mission=setup.mission, chain=chain)
+        return Supervisor(block=block, mission=setup.mission, nominal=setup.nominal, chain=chain)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """The mode, and what ended the one before rate damping."""

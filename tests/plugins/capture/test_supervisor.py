@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import LeafSystem
 
-from ffsm_drake import ScenarioError, load_scenario
+from ffsm_drake import ScenarioError, load_scenario, simulate
 from ffsm_drake.plugins.actuators.base import BaseActuators
 from ffsm_drake.plugins.capture.modes import Cause, Mode
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.spacecraft.craft import make_nominal_plant, make_true_plant
+from ffsm_drake.spacecraft.free_floating import driven_model, free_floating
 from ffsm_drake.systems.parts.metrics import nested
 from ffsm_drake.systems.parts.placed import figures_of
 from ffsm_drake.systems.parts.record import recorded
@@ -168,3 +169,59 @@ def test_what_it_cannot_damp_is_refused():
 def test_it_needs_limits():
     with pytest.raises(ScenarioError, match="no force has a limit"):
         make_rollout(load_scenario("postcapture", ["supervisor={}", "actuation={}"]))
+
+
+@pytest.fixture(scope="module", params=[["joints"], ["base_rotation", "joints"]], ids=len)
+def undriven(request):
+    """A stop beyond the limits, without a force on the position of the base, or on its attitude."""
+    given = {
+        "actuation": {"driven": request.param, "limit": dict.fromkeys(request.param, 1.5)},
+        "reference": {"duration": 3.0, "base_rotation": "eigenaxis", "goal": "stop"},
+        "capture": {"rate": [0.1, 0.08, 0.12], "servicer": "rest"},
+        "supervisor": {"saturated_time": 0.05},
+        "disturbance": {"amplitude_scale": 0.0},
+        "duration": 10.0,
+    }
+    return make_rollout(load_scenario("postcapture", [given])).run()
+
+
+def test_driven_rates_are_damped_and_planned_anew(undriven):
+    """Their part of the energy falls at every sample, and no force acts elsewhere."""
+    assert [mode for _, mode in changes(undriven)][:3] == [
+        Mode.STOP, Mode.RATE_DAMPING, Mode.STOP
+    ]  # fmt: skip
+    driven = undriven.coordinates.driven
+    modes, nq = undriven.series["mode"].ravel(), len(undriven.coordinates.position_names)
+    states = undriven.series["state"][modes == Mode.RATE_DAMPING]
+    q, v = states[:, :nq], states[:, nq:][:, driven]
+    reduced = driven_model(make_true_plant(undriven.scenario)).calc_mass_matrix(q)
+    energy = np.einsum("ni,nij,nj->n", v, reduced[:, driven[:, None], driven], v) / 2.0
+    assert energy.size > 50
+    assert energy[-1] < 0.01 * energy[0]
+    assert (np.diff(energy[1:]) < 1e-6 * energy[0]).all()
+    assert not np.delete(undriven.series["generalized_force"], driven, axis=1).any()
+
+
+def test_a_new_plan_keeps_the_momentum(undriven):
+    """The nominal one of the measured state, in which its rates come to rest."""
+    anew = changes(undriven)[2][0]
+    k = int(np.flatnonzero(np.isclose(undriven.time, anew))[0])
+    nq, model = len(undriven.coordinates.position_names), make_nominal_plant(undriven.scenario)
+    desired = undriven.series["desired_state"][k + 1 :]
+    assert np.abs(desired[0] - undriven.series["measurement"][k]).max() < 2e-3
+    momentum = [
+        free_floating(model, row[:nq], ["joints"]).momentum(row[nq:]) for row in desired[::50]
+    ]
+    free = slice(3, 6) if undriven.coordinates.is_driven[0] else slice(6)
+    momentum = np.array(momentum)[:, free]
+    assert np.abs(momentum).max() > 1e-3
+    assert momentum == pytest.approx(np.tile(momentum[0], (len(momentum), 1)), abs=1e-9)
+    driven = undriven.coordinates.driven
+    assert np.abs(desired[-1, nq:][driven]).max() < 1e-9
+
+
+def test_the_compiled_run_of_undriven_coordinates_is_that_of_drake(undriven):
+    pytest.importorskip("ffsm_drake.plugins.compiled")
+    record = simulate(undriven.scenario, engine="compiled", check_stability=False)
+    found = record.dataset["position"].values
+    assert found == pytest.approx(undriven.series["state"][:, : found.shape[1]], abs=1e-9)

@@ -50,10 +50,6 @@ REFUSED = {
             for driven in _UNDRIVEN
         ),
         ({"supervisor": "supervisor", "motion": "frame"}, ("supervisor", "reference.frame")),
-        *(
-            ({"supervisor": "supervisor", "driven": driven}, ("supervisor", "actuation.driven"))
-            for driven in _UNDRIVEN
-        ),
         ({"law": "task-space law", "command": "design"}, ("task_time_delay", "gains are designed")),
         ({"motion": "frame", "command": "plan"}, ("reference.frame", "plan")),
         *(
