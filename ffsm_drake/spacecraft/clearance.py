@@ -10,7 +10,8 @@ wrist. A held body of another model than the base is always checked against the 
 every part with a deep overlap at every joint angle.
 
 Before a grasp the target is a separate body. Over the last decimetre and 20 degrees it may touch
-the gripper and the parts that are not checked after the grasp. A flexible panel is represented by
+the gripper and the parts that are not checked after the grasp. For a deep gripper,
+this begins 5 cm before it meets the target. A flexible panel is represented by
 its plates, with their deflections. It is not checked against its own body. Its visual geometry on
 that body is checked in the rest position.
 """
@@ -52,8 +53,9 @@ _NEIGHBOURS, _NEAR = 3, 0.2  # joints, m
 _TRIALS = 40  # joint configurations tested
 _DEEP = 0.1  # m; no wrist's shapes overlap a held body by more at every joint angle
 
-# Nearer to the grasp, and turned less from it, the gripper may touch the target: m, rad.
-_REACH, _TURN = 0.1, 0.35
+# Nearer to the grasp (or to where a deep gripper meets the target), and turned less from it, the
+# gripper may touch the target: m, rad, m.
+_REACH, _TURN, _MARGIN = 0.1, 0.35, 0.05
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -341,17 +343,16 @@ class ApproachClearance(Clearance):
         Raises the errors of ``Clearance``.
         """
         super().__init__(model, apart=target, flexible=flexible)
-        held = parsed_plant(model)
-        frame = hand_frame(held, model)
-        body = find_body(held, target, key="payload.body")
-        self._X_PE = frame.CalcPose(held.CreateDefaultContext(), body.body_frame())  # in the grasp
+        held = Clearance(model, hands=hands)
+        body, context = find_body(held.plant, target, key="payload.body"), held.plant_context
+        self._X_PE = hand_frame(held.plant, model).CalcPose(context, body.body_frame())  # at grasp
         self._hand = hand_frame(self.plant, model)
         self._target = find_body(self.plant, target, key="payload.body")
         # Near the grasp the pairs of a held target are checked: without the gripper, and without
         # links always near it.
         apart = {
             each.scoped_name().get_full()
-            for pair in Clearance(model, hands=hands).pairs
+            for pair in held.pairs
             if target in (names := [body.scoped_name().get_full() for body in pair])
             for each, name in zip(pair, names, strict=True)
             if name != target
@@ -361,13 +362,22 @@ class ApproachClearance(Clearance):
             for body in self._bodies
             if body.scoped_name().get_full() not in apart
         }
+        pairs = [
+            pair
+            for each in held.plant.GetBodiesWeldedTo(body)
+            for pair in held._solids_of(body, each)
+            if self._is_held(body, each)
+        ]
+        held._move(held.plant.GetPositions(context))
+        least, _ = held._solids.least(np.reshape(np.array(pairs, int), (-1, 2)))
+        self._reach = max(_REACH, _MARGIN - least)
 
     def _may_touch(self) -> set[frozenset[BodyIndex]]:
         context = self.plant_context
         grasp = self._target.EvalPoseInWorld(context) @ self._X_PE
         offset = grasp.inverse() @ self._hand.CalcPoseInWorld(context)
         gap, turn = np.linalg.norm(offset.translation()), offset.rotation().ToAngleAxis().angle()
-        return self._gripping if gap < _REACH and turn < _TURN else set()
+        return self._gripping if gap < self._reach and turn < _TURN else set()
 
 
 def shapes_of(scenario: Scenario, *, apart: bool = False) -> Clearance:

@@ -40,6 +40,7 @@ class Margins:
 
     distance: float  # m; smallest distance of parts
     share: float  # largest share of the limits of force, with an empty gripper
+    nearest: str = ""  # the parts at this distance, as text
 
 
 def approach_posture(mission: Mission) -> Posture:
@@ -70,7 +71,7 @@ def _clear_start(mission: Mission) -> Posture:
     end = np.array(scenario.initial_posture.base_position)
     for line in not_measured(scenario):
         raise LimitError("capture.approach.start", line, limit="clearance")
-    best, kept = -np.inf, approach.posture
+    best, kept, least, told = -np.inf, approach.posture, np.inf, ""
     needed = scenario.clearance + approach.margin
     wide, share_of = max(_WIDE, needed), shares_of(mission)
     for joints, direction, length in itertools.product(
@@ -89,15 +90,18 @@ def _clear_start(mission: Mission) -> Posture:
         found = margins(instants=_INSTANTS)
         if found.distance > best:  # worth a closer look
             found = margins(instants=_CLOSER)
+        least = min(least, found.share)
         if found.distance > best:
-            best, widest = found.distance, posture
+            best, widest, told = found.distance, posture, f"the best one has {found.nearest}"
         if found.distance >= wide and found.share <= _LITTLE:
             return posture
     if best < needed:
+        told = told or f"each needs {100.0 * least:.0f} % or more"
         raise LimitError(
             "capture.approach.start",
             f"no start within {_LENGTHS[-1]:g} m keeps {needed:g} m from the target with "
-            f"{100.0 * _MOST:g} % of the force limits; change capture.approach.duration or margin",
+            f"{100.0 * _MOST:g} % of the force limits: {told}; change capture.approach.duration "
+            "or margin",
             limit="clearance",
         )
     return widest
@@ -180,7 +184,7 @@ def margins_of(
         return Margins(distance=np.inf, share=share)
     spread = np.argsort(np.modf(_SPREAD * np.arange(len(samples)))[0])  # soon near any instant
     nearest = shapes.along(np.hstack([q, target[samples]])[spread], enough=enough).nearest
-    return Margins(distance=nearest.distance, share=share)
+    return Margins(distance=nearest.distance, share=share, nearest=str(nearest))
 
 
 def shares_of(mission: Mission) -> Callable[[np.ndarray], float]:

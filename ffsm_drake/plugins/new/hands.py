@@ -26,9 +26,9 @@ from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.plugins.new.draft import Draft
 from ffsm_drake.plugins.new.opening import open_capture, openings
 from ffsm_drake.plugins.new.postures import CLEAR, Postures
+from ffsm_drake.plugins.new.room import Room
 from ffsm_drake.plugins.new.urdf.formats.building import text
 from ffsm_drake.plugins.new.urdf.target import SECOND, Target
-from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.plant import find_frame
 from ffsm_drake.systems.reference import make_motion
@@ -40,16 +40,18 @@ _CHOSEN = (
     "capture",
     "reference",
 )  # sections that a motion determines
-_DRAWN, _HELD = 300, 4  # postures of the first arm; ways to hold, of which the best is taken
-_TRIALS = 12  # trials of the inverse kinematics for each of these postures, at least
+# Postures of the first arm; draws for each, until one is clear; ways to hold, the best ones first.
+_DRAWN, _DRAWS, _HELD = 300, 10, 4
+_TRIALS = 36  # trials of the inverse kinematics for each of these postures, at least
 _STEPS, _LONGEST = 25, 0.3  # steps of the inverse kinematics; rad or m
 _SLOW = 5, 0.7  # steps that leave more than this share of a distance: out of reach
-_MOST_STEPS, _MOST_MOTIONS = 40_000, 12  # of the search for one size of the target
+_MOST_STEPS, _MOST_MOTIONS = 40_000, 3  # of the search for one size of the target; for one hold
 _REACHED, _ALIGNED = 1e-11, 1e-6  # rad and m
 _DEXTROUS = 0.08  # least singular value of an arm, with its reach as the unit of length
 _SHARES = (1.0, 0.7, 0.45, 0.3, 0.2)  # shares of the step to an initial posture
 _STEP, _WAYS, _INSTANTS = 0.4, 6, 61  # rad or m; initial postures for each share; of a motion
 _SLACK = 1e-6  # rad or m, of a joint's limit
+_TOLD = 1e-3  # m, of a depth
 _BESIDE = 0.4  # shares of the side, from the middle of the first hand's face
 
 
@@ -58,7 +60,8 @@ class _Hold:
     joints: np.ndarray  # rad or m
     place: RigidTransform  # pose of the second hand in the target's frame
     dexterity: float
-    distance: float = np.inf  # m, of the parts
+    distance: float  # m, of the parts
+    room: float  # m, of base and target before the grasp
 
 
 class Hands(Postures):
@@ -83,9 +86,6 @@ class Hands(Postures):
         self._tips = [tip for tip in tips if tip is not None]
         self._hands = [self._frame(f"servicer::{tip.frame}") for tip in self._tips]
         self._body = self._frame(f"debris::{target.body}")
-        hands = [f"servicer::{tip.frame}" for tip in self._tips]
-        model = draft.scenario.model
-        self._shapes = Clearance(model, flexible=True, invented=True, hands=hands)
         self._arms = [
             np.array([self.names.index(name) for name in tip.joints]) for tip in self._tips
         ]
@@ -93,6 +93,7 @@ class Hands(Postures):
         self._second = own[1]
         joint = self.plant.GetJointByName(self.names[self._second[0]]) if own[1].size else None
         self._shoulder = self._body if joint is None else joint.frame_on_parent()
+        self._room = Room(draft, target, [self.names[k] for k in self._second])
         self.rest = np.round(self.rest, 3)
         self._random = np.random.default_rng(0)
         self._drawings = self._steps = self._ways = self._motions = 0  # done so far
@@ -135,6 +136,7 @@ class Hands(Postures):
             return False
         file = Path(draft.source).parent / draft.data["model"]["debris"]
         before = file.read_text()
+        most = _MOST_MOTIONS * len(holds)
         for hold in holds:
             if self._target.second is None:
                 rpy = text(hold.place.rotation().ToRollPitchYaw().vector())
@@ -149,8 +151,9 @@ class Hands(Postures):
             draft.data["target_posture"]["joints"] = self.by_name(np.round(hold.joints, 4))
             if hold.distance < 0.0:
                 draft.touching = "no posture of both hands that is free of contact was found"
-            with step(lambda: f"motion {self._motions} of at most {_MOST_MOTIONS} of both hands"):
+            with step(lambda: f"motion {self._motions} of at most {most} of both hands"):
                 if self._start(hold):
+                    draft.remarks += self._deep(hold)
                     return True
         draft.touching = (
             f"'{names}' cannot move the target{cube} together: none of {self._ways} motions tried "
@@ -158,21 +161,30 @@ class Hands(Postures):
         )
         return False
 
+    def _deep(self, hold: _Hold) -> Iterator[str]:
+        """Yield a remark for each hand whose shape is in the target that it holds."""
+        for tip, depth in zip(self._tips, self._room.depths(hold.joints), strict=True):
+            if depth > _TOLD:
+                yield (
+                    f"the shape of '{tip.frame}' is {1e3 * depth:.0f} mm deep in the target at its "
+                    "grasp, where contact does not count: give --tips a frame at the end of the "
+                    "hand to avoid it"
+                )
+
     def _best(self) -> list[_Hold]:
-        """Return some holds without contact, the most dexterous first, or else the hold with the
-        largest distance.
+        """Return some holds without contact, those in which the target tumbles clear of the base
+        and the most dexterous first, or else the hold with the largest distance.
         """
         found, nearest = list[_Hold](), list[_Hold]()
         for hold in self._holds():
-            distance = self._distance(hold.joints)
-            one = dataclasses.replace(hold, distance=distance)
-            if distance >= CLEAR:
-                found.append(one)
-            elif not nearest or distance > nearest[0].distance:
-                nearest = [one]
-            if len(found) == _HELD:
+            if hold.distance >= CLEAR:
+                found.append(hold)
+            elif not nearest or hold.distance > nearest[0].distance:
+                nearest = [hold]
+            if sum(each.room >= CLEAR for each in found) == _HELD:
                 break
-        return sorted(found, key=lambda each: -each.dexterity) or nearest
+        found.sort(key=lambda each: (-min(each.room, CLEAR), -each.dexterity))
+        return found[:_HELD] or nearest
 
     def _holds(self) -> Iterator[_Hold]:
         first = self._arms[0]
@@ -180,9 +192,13 @@ class Hands(Postures):
             if self._steps >= _MOST_STEPS:
                 return
             joints = self.rest.copy()
-            joints[first] = np.round(self._drawn()[first], 3)
-            dexterity = self._least(0, joints)
-            if dexterity < _DEXTROUS:
+            for _ in range(_DRAWS):
+                joints[first] = np.round(self._drawn()[first], 3)
+                if (dexterity := self._least(0, joints)) >= _DEXTROUS and self._room.is_free(
+                    joints
+                ):
+                    break
+            else:
                 continue
             places = self._places()
             starts = [self.rest, *(self._drawn() for _ in range(_TRIALS // len(places)))]
@@ -191,8 +207,13 @@ class Hands(Postures):
                 both = self._reached(joints, X_PG, turned=self._target.second is None)
                 if both is None or (least := self._least(1, both)) < _DEXTROUS:
                     continue
-                yield _Hold(joints=both, place=self._place(), dexterity=min(dexterity, least))
-                break
+                place, distance = self._place(), self._room.distance(both)
+                yield _Hold(
+                    joints=both, place=place, dexterity=min(dexterity, least), distance=distance,
+                    room=self._room.tumble(both) if distance >= CLEAR else -np.inf,
+                )  # fmt: skip
+                if distance >= CLEAR:
+                    break
 
     def _place(self) -> RigidTransform:
         """Return the pose of the second hand in the frame of the target."""
@@ -271,20 +292,21 @@ class Hands(Postures):
         The motion is within the joint limits and, if possible, without contact.
         """
         draft, data, best, n = self._draft, self._draft.data, None, hold.joints.size
-        for share, _ in itertools.product(_SHARES, range(_WAYS)):
+        before = self._motions
+        for k, share in enumerate(np.repeat(_SHARES, _WAYS).tolist()):
             size = _STEP * share * self._random.uniform(0.5, 1.0, n)
-            if self._motions == _MOST_MOTIONS:
+            if self._motions == before + _MOST_MOTIONS:
                 break
             self._ways += 1
             change = np.round(size * self._random.choice([-1.0, 1.0], n), 3)
             if self._draft.asked.has_approach:
-                change *= self._ways > 1  # the motion leaves the posture with the target's velocity
+                change *= k > 0  # the motion leaves the posture with the target's velocity
             begin = hold.joints.copy()
             begin[self._arms[0]] += change[self._arms[0]]
             closed = self._reached(begin, hold.place, turned=False)
             if closed is None or not self._is_within(closed):
                 continue
-            if self._distance(closed) < min(CLEAR, hold.distance):
+            if self._room.distance(closed) < min(CLEAR, hold.distance):
                 continue
             data["initial_posture"]["joints"] = self.by_name(np.round(closed, 4))
             self._motions += 1
@@ -298,7 +320,8 @@ class Hands(Postures):
             if not self._is_within(rows[:, NUM_BASE_POSITIONS : NUM_BASE_POSITIONS + n]):
                 self._problem = "; in the last one, a joint leaves its limits"
                 continue
-            near = min((each.distance for each in plan_clearance(mission)), default=np.inf)
+            near = self._room.along(rows[:, : NUM_BASE_POSITIONS + n])
+            near = min([near, *(each.distance for each in plan_clearance(mission))])
             if best is None or near > best[0]:
                 rates = np.abs(rows[:, -2 * n - NUM_BASE_VELOCITIES :][:, :n]).max(axis=0)
                 chosen = copy.deepcopy({key: data[key] for key in _CHOSEN})
@@ -325,11 +348,14 @@ class Hands(Postures):
         draft, problem = self._draft, ScenarioError("--tips", "the hands cannot open")
         hands = [*zip(self._hands, self._arms, (tip.reach for tip in self._tips), strict=True)]
         hands[1] = (self._hands[1], self._second, self._tips[1].reach)
-        for joints in openings(self, held, hands):
-            if min(self._distance(each) for each in joints) < 0.0:
+        for grasp, start in openings(self, held, hands):
+            if min(self._room.distance(grasp), self._room.alone(start)) < 0.0:
                 continue
+            joints = grasp, start
             open_capture(draft, *(self.by_name(np.round(each, 4)) for each in joints))
-            unsized = {**draft.data["actuation"], "wheels": None}  # wheels are sized later
+            unsized = dict(draft.data["actuation"])
+            if draft.asked.wheels is not None and draft.asked.wheels.torque is None:
+                unsized["wheels"] = None  # they are sized later, for the torque of the thrusters
             try:
                 plan_clearance(mission := Mission(draft.with_sections(actuation=unsized)))
             except ScenarioError as error:
@@ -341,10 +367,6 @@ class Hands(Postures):
     def _is_within(self, joints: np.ndarray) -> bool:
         """Whether joints (..., n) are within their limits."""
         return bool(((joints > self.low - _SLACK) & (joints < self.high + _SLACK)).all())
-
-    def _distance(self, joints: np.ndarray) -> float:
-        """Return the smallest distance of parts, m; distances above ``CLEAR`` are not computed."""
-        return self._shapes.nearest(self.whole(joints), below=CLEAR).distance
 
     def _drawn(self) -> np.ndarray:
         return self._random.uniform(self.low, self.high)

@@ -59,7 +59,7 @@ class Hardware:
         if self._asked.thrusters is None:
             return
         box = self._box(self._draft.servicer.base)
-        found = self._asked.thruster_settings(self._draft.servicer.base_mass, box)
+        found = self._asked.thruster_settings(self._draft.servicer.total_mass, box)
         self._data["actuation"]["thrusters"] = found
         covered = dict[str, list[str]]()
         placed = thrusters_of(self._draft.scenario.actuation.thrusters or Thrusters())
@@ -134,7 +134,9 @@ class Hardware:
         one = dataclasses.replace(asked, torque=None)
         least = self._torque({**actuation, "wheels": {"units": one.units(1.0, 1e-9)}})
         if self._asked.thrusters is not None:
-            pulses = _PULSES * self._torque({**actuation, "wheels": None}) / least
+            # the approach of two hands was found with the torque of the thrusters
+            share = 1.0 if self._asked.tips and self._asked.has_approach else _PULSES
+            pulses = share * self._torque({**actuation, "wheels": None}) / least
         motion = float(np.linalg.norm(self._draft.peaks[:3])) / MOTION / least
         floor = min(_WHEEL[0], _SLOW_WHEEL * moment)
         needed = rounded(max(min(motion, max(_WHEEL[1], pulses)), pulses, floor))

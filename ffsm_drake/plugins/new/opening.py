@@ -33,14 +33,22 @@ def openings(
       joints: all joints (n) with both hands on the target, rad or m.
       hands: frame of each hand, indices of the joints of its arm, and reach of the arm, m.
     """
-    for share in _OPEN:
-        ways = [_withdrawn(postures, joints, *hand, share) for hand in hands]
-        (first, second) = ways
-        if first is not None and second is not None:
-            grasp, start = joints.copy(), first.copy()
-            arm = hands[1][1]
-            grasp[arm] = start[arm] = second[arm]
-            yield grasp, start
+    ways = [[_withdrawn(postures, joints, *hand, share) for share in _OPEN] for hand in hands]
+    before: tuple[int, ...] = ()
+    for k in range(len(_OPEN)):
+        # the first feasible share from this one on, of each hand
+        which = tuple(next((i for i in range(k, len(_OPEN)) if each[i] is not None), -1)
+                      for each in ways)  # fmt: skip
+        if -1 in which or which == before:
+            continue
+        before = which
+        (first, second) = (each[i] for each, i in zip(ways, which, strict=True))
+        assert first is not None
+        assert second is not None
+        grasp, start = joints.copy(), first.copy()
+        arm = hands[1][1]
+        grasp[arm] = start[arm] = second[arm]
+        yield grasp, start
 
 
 def open_capture(draft: Draft, grasp: dict[str, float], start: dict[str, float]) -> None:

@@ -61,7 +61,7 @@ def write_folder(
             if side is None:
                 remark = f"the target is made smaller: {draft.touching}"
                 left_out, draft = making.placed(smaller, folder)
-                given, draft.remarks = smaller, [remark]
+                given, draft.remarks = smaller, [remark, *draft.remarks]
             else:
                 draft.touching += f"; --target {smaller.mass:g}kg,{smaller.side:g}m keeps clear"
         if not draft.is_held:

@@ -11,8 +11,11 @@ from outside_urdfs import link, robot, two_hands
 from ffsm_drake import simulate
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import FfsmError, ModelError
+from ffsm_drake.mission import Mission
+from ffsm_drake.plugins.design.remarks import plan_clearance
 from ffsm_drake.plugins.new import hands
 from ffsm_drake.plugins.new.asked import Asked
+from ffsm_drake.plugins.new.first_mission import FirstMission
 from ffsm_drake.plugins.new.first_scenario import new_scenario
 from ffsm_drake.plugins.new.result import NewScenario
 from ffsm_drake.scenario import load_scenario
@@ -74,6 +77,45 @@ def test_both_hands_capture_one_after_the_other(tmp_path: Path) -> None:
     assert given.approach.start == "clear"
     assert [each.closes for each in given.contacts.values()] == [0.0, 5.0]
     assert settles(new)
+
+
+class _PlacedError(FfsmError):
+    """The end of a search, before durations and gains are chosen."""
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_hands_that_extend_beyond_their_frames(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    """Drawn lengths of arms and hands: the hands may be in the target at its grasp, and are named
+    with their depths. The approach begins with a target that nothing touches.
+    """
+    drafts = list[FirstMission]()
+
+    def stop(self: FirstMission) -> None:
+        drafts.append(self)
+        raise _PlacedError("mission", "placed")
+
+    monkeypatch.setattr(FirstMission, "pace", stop)
+    rng = np.random.default_rng(seed)
+    text, deep = two_hands(SPATIAL, torso=bool(seed), reach=rng.uniform(1.4, 1.8)), {}
+    for side in ("left", "right"):
+        deep[side] = rng.uniform(0.03, 0.15)
+        shape = f'<box size="0.06 0.06 {deep[side] + 0.1}"/>'
+        place = f'<origin xyz="0 0 {0.5 * (deep[side] - 0.1)}"/>'
+        hand = f"<visual>{place}<geometry>{shape}</geometry></visual>"
+        text = text.replace(f'<link name="{side}_hand">', f'<link name="{side}_hand">{hand}')
+    with pytest.raises(ModelError, match="placed"):
+        made(tmp_path, text, words=CAPTURE, payload_mass=50.0, payload_size=0.4)
+    found = drafts[-1]
+    assert found.is_held
+    assert not found.touching
+    told = dict(re.findall(r"the shape of '(\w+)_hand' is (\d+) mm deep", "; ".join(found.remarks)))
+    assert {side: float(depth) for side, depth in told.items()} == pytest.approx(
+        {side: 1e3 * depth for side, depth in deep.items()}, abs=1.0
+    )
+    approach = Mission(found.scenario)
+    assert min(each.distance for each in plan_clearance(approach)) >= found.scenario.clearance
 
 
 @pytest.mark.long

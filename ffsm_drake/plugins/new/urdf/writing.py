@@ -147,7 +147,7 @@ def _inline_colors(root: Element) -> None:
             material.set("name", rgba)
         if rgba:
             colors.setdefault(material.get("name", ""), rgba)
-    for parent in (root, *root.iter("visual")):
+    for parent in (root, *root.iter("visual"), *root.iter("collision")):
         for material in parent.findall("material"):
             parent.remove(material)
             name = material.get("name", "")

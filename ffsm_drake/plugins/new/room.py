@@ -1,0 +1,128 @@
+"""Distances of parts in postures in which two hands hold a target, or reach for it.
+
+A hand may extend beyond its frame, into the target that it holds. It may touch the target, and so
+may links that are near the target in every posture of the hand, such as those of its wrist.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import RigidBody
+
+from ffsm_drake.common.so3 import matrix_of, quaternion_of
+from ffsm_drake.plugins.new.draft import Draft
+from ffsm_drake.plugins.new.postures import CLEAR, Postures
+from ffsm_drake.plugins.new.urdf.target import Target
+from ffsm_drake.spacecraft.clearance import Clearance
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
+from ffsm_drake.spacecraft.plant import find_body, find_frame
+
+_BEFORE = (1.0, 2.0, 3.0)  # s before the grasp, in which the base is already close
+_AWAY = 1e3  # m, of a target that nothing can meet
+
+
+class Room:
+    """Distances of the parts of a servicer and a target. Joints (n) are in rad or m."""
+
+    def __init__(self, draft: Draft, target: Target, second: list[str]) -> None:
+        """Load the model.
+
+        Args:
+          draft: the present scenario.
+          target: the target.
+          second: joints that move the second hand only.
+        """
+        model, self._target = draft.scenario.model, f"debris::{target.body}"
+        tips = (draft.servicer.tip, draft.servicer.second)
+        hands = [f"servicer::{tip.frame}" for tip in tips if tip is not None]
+        grasp = f"debris::{target.second or target.grasp}"
+        self._held = Clearance(model, flexible=True, invented=True)
+        other = dataclasses.replace(model, end_effector=hands[1], grasp=grasp)
+        mirrored = Clearance(other, flexible=True, invented=True)
+        names = [{_name(body) for body in pair} for pair in mirrored.pairs]
+        self._checked = set[str]().union(*(pair for pair in names if self._target in pair))
+        self._apart = Clearance(model, flexible=True, apart=self._target)
+        self._second = _moved(self._held.plant, second)
+        self._moving = _moved(self._apart.plant, [*draft.coordinates.joints])
+        ends = (find_frame(self._apart.plant, hand, key="--tips").body() for hand in hands)
+        self._ends = [{*map(_name, self._apart.plant.GetBodiesWeldedTo(end))} for end in ends]
+        capture = draft.scenario.capture
+        self._rate = np.array(capture.rate) if capture else np.zeros(3)
+
+    def is_free(self, joints: np.ndarray) -> bool:
+        """Whether the parts that the second arm does not move keep clear, the target included."""
+        near = self._near(self._held, Postures.whole(joints))
+        return all(self._second & pair for _, pair in near)
+
+    def distance(self, joints: np.ndarray) -> float:
+        """Return the smallest distance with the target held, m; infinite above ``CLEAR``."""
+        near = self._near(self._held, Postures.whole(joints))
+        return min(
+            (d for d, pair in near if self._target not in pair or pair <= self._checked),
+            default=np.inf,
+        )
+
+    def along(self, rows: np.ndarray) -> float:
+        """Return the smallest ``distance`` of configurations (n, nq), m."""
+        return min(self.distance(row[NUM_BASE_POSITIONS:]) for row in rows)
+
+    def alone(self, joints: np.ndarray) -> float:
+        """Return the smallest distance without a target, m; infinite above ``CLEAR``."""
+        away = RigidTransform([_AWAY, _AWAY, _AWAY])
+        return min((d for d, _ in self._with_target(joints, away)), default=np.inf)
+
+    def tumble(self, joints: np.ndarray) -> float:
+        """Return the smallest distance of the base and the tumbling target in the last seconds
+        before the grasp, m; infinite above ``CLEAR``.
+        """
+        held, found = self._pose(joints), [np.inf]
+        for time in _BEFORE:
+            turn = RotationMatrix(matrix_of(quaternion_of(-time * self._rate)))
+            pose = RigidTransform(held.rotation() @ turn, held.translation())
+            near = self._with_target(joints, pose)
+            found += [d for d, pair in near if self._target in pair and not pair & self._moving]
+        return min(found)
+
+    def depths(self, joints: np.ndarray) -> list[float]:
+        """Return the depths to which the shapes of both hands are in the target, m."""
+        near = [*self._with_target(joints, self._pose(joints))]
+        return [
+            max((-d for d, pair in near if self._target in pair and pair & end), default=0.0)
+            for end in self._ends
+        ]
+
+    def _pose(self, joints: np.ndarray) -> RigidTransform:
+        """Return the pose of the target that the first hand holds."""
+        held = self._held
+        held.plant.SetPositions(held.plant_context, Postures.whole(joints))
+        body = find_body(held.plant, self._target, key="payload.body")
+        pose: RigidTransform = body.EvalPoseInWorld(held.plant_context)
+        return pose
+
+    def _with_target(
+        self, joints: np.ndarray, pose: RigidTransform
+    ) -> Iterator[tuple[float, set[str]]]:
+        quaternion = pose.rotation().ToQuaternion().wxyz()
+        q = np.concatenate([Postures.whole(joints), quaternion, pose.translation()])
+        return self._near(self._apart, q)
+
+    @staticmethod
+    def _near(shapes: Clearance, q: np.ndarray) -> Iterator[tuple[float, set[str]]]:
+        """Yield the distances below ``CLEAR``, m, and the names of the two bodies."""
+        for distance, _, bodies in shapes.within(q, CLEAR):
+            yield distance, {*map(_name, bodies)}
+
+
+def _name(body: RigidBody) -> str:
+    found: str = body.scoped_name().get_full()
+    return found
+
+
+def _moved(plant: MultibodyPlant, joints: list[str]) -> set[str]:
+    """Return the names of the bodies that joints move."""
+    moving = [plant.GetJointByName(name).index() for name in joints]
+    bodies = plant.GetBodiesKinematicallyAffectedBy(moving) if moving else []
+    return {_name(plant.get_body(index)) for index in bodies}
