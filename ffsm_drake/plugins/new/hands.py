@@ -42,7 +42,8 @@ _CHOSEN = (
 )  # sections that a motion determines
 # Postures of the first arm; draws for each, until one is clear; ways to hold, the best ones first.
 _DRAWN, _DRAWS, _HELD = 300, 10, 4
-_TRIALS = 36  # trials of the inverse kinematics for each of these postures, at least
+# Postures of the second arm: drawn, and tried from for each place of its hand, if near enough.
+_KNOWN, _TRIALS, _NEAR = 2000, 2, 0.6
 _STEPS, _LONGEST = 25, 0.3  # steps of the inverse kinematics; rad or m
 _SLOW = 5, 0.7  # steps that leave more than this share of a distance: out of reach
 _MOST_STEPS, _MOST_MOTIONS = 40_000, 3  # of the search for one size of the target; for one hold
@@ -51,7 +52,6 @@ _DEXTROUS = 0.08  # least singular value of an arm, with its reach as the unit o
 _SHARES = (1.0, 0.7, 0.45, 0.3, 0.2)  # shares of the step to an initial posture
 _STEP, _WAYS, _INSTANTS = 0.4, 6, 61  # rad or m; initial postures for each share; of a motion
 _SLACK = 1e-6  # rad or m, of a joint's limit
-_TOLD = 1e-3  # m, of a depth
 _BESIDE = 0.4  # shares of the side, from the middle of the first hand's face
 
 
@@ -96,6 +96,7 @@ class Hands(Postures):
         self._room = Room(draft, target, [self.names[k] for k in self._second])
         self.rest = np.round(self.rest, 3)
         self._random = np.random.default_rng(0)
+        self._known = self._poses()
         self._drawings = self._steps = self._ways = self._motions = 0  # done so far
         self._problem = ""  # of the last motion
         # directions of the second hand's twist in the target's frame that postures can move
@@ -153,23 +154,13 @@ class Hands(Postures):
                 draft.touching = "no posture of both hands that is free of contact was found"
             with step(lambda: f"motion {self._motions} of at most {most} of both hands"):
                 if self._start(hold):
-                    draft.remarks += self._deep(hold)
+                    draft.remarks += self._room.remarks(hold.joints)
                     return True
         draft.touching = (
             f"'{names}' cannot move the target{cube} together: none of {self._ways} motions tried "
             f"is within the reach and limits of both arms{self._problem}"
         )
         return False
-
-    def _deep(self, hold: _Hold) -> Iterator[str]:
-        """Yield a remark for each hand whose shape is in the target that it holds."""
-        for tip, depth in zip(self._tips, self._room.depths(hold.joints), strict=True):
-            if depth > _TOLD:
-                yield (
-                    f"the shape of '{tip.frame}' is {1e3 * depth:.0f} mm deep in the target at its "
-                    "grasp, where contact does not count: give --tips a frame at the end of the "
-                    "hand to avoid it"
-                )
 
     def _best(self) -> list[_Hold]:
         """Return some holds without contact, those in which the target tumbles clear of the base
@@ -200,10 +191,8 @@ class Hands(Postures):
                     break
             else:
                 continue
-            places = self._places()
-            starts = [self.rest, *(self._drawn() for _ in range(_TRIALS // len(places)))]
-            for X_PG, start in itertools.product(places, starts):
-                joints[self._second] = start[self._second]
+            for X_PG, start in self._starts(joints):
+                joints[self._second] = start
                 both = self._reached(joints, X_PG, turned=self._target.second is None)
                 if both is None or (least := self._least(1, both)) < _DEXTROUS:
                     continue
@@ -214,6 +203,30 @@ class Hands(Postures):
                 )  # fmt: skip
                 if distance >= CLEAR:
                     break
+
+    def _starts(self, joints: np.ndarray) -> list[tuple[RigidTransform, np.ndarray]]:
+        """Return places of the second hand, and joints of its arm from which to search for each."""
+        self.set(joints)
+        X_SP = self._body.CalcPose(self.context, self._shoulder)
+        found = list[tuple[RigidTransform, np.ndarray]]()
+        for X_PG in self._places():
+            goal = X_SP @ X_PG
+            off = (self._known[1] - goal.translation()) / self._tips[1].reach
+            turned = self._known[2] - goal.rotation().matrix()[:, 2]
+            away = np.linalg.norm(off, axis=1) + np.linalg.norm(turned, axis=1)
+            near = [k for k in np.argsort(away)[:_TRIALS] if away[k] < _NEAR]
+            found += [(X_PG, self._known[0][k]) for k in near]
+        return found
+
+    def _poses(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return drawn joints of the second arm, and places and z axes of its hand from there."""
+        found = list[tuple[np.ndarray, np.ndarray, np.ndarray]]()
+        for _ in range(_KNOWN):
+            self.set(drawn := self._drawn())
+            pose = self._hands[1].CalcPose(self.context, self._shoulder)
+            found.append((drawn[self._second], pose.translation(), pose.rotation().matrix()[:, 2]))
+        first, second, third = map(np.array, zip(*found, strict=True))
+        return first, second, third
 
     def _place(self) -> RigidTransform:
         """Return the pose of the second hand in the frame of the target."""

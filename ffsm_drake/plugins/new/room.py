@@ -1,7 +1,7 @@
 """Distances of parts in postures in which two hands hold a target, or reach for it.
 
-A hand may extend beyond its frame, into the target that it holds. It may touch the target, and so
-may links that are near the target in every posture of the hand, such as those of its wrist.
+A hand may extend beyond its frame, into the target that it holds. It may touch the target. So may
+its fingers, and links that are near the target in every posture of the hand, such as its wrist.
 """
 
 import dataclasses
@@ -21,6 +21,7 @@ from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
 from ffsm_drake.spacecraft.plant import find_body, find_frame
 
 _BEFORE = (1.0, 2.0, 3.0)  # s before the grasp, in which the base is already close
+_TOLD = 1e-3  # m, of a depth
 _AWAY = 1e3  # m, of a target that nothing can meet
 
 
@@ -37,7 +38,8 @@ class Room:
         """
         model, self._target = draft.scenario.model, f"debris::{target.body}"
         tips = (draft.servicer.tip, draft.servicer.second)
-        hands = [f"servicer::{tip.frame}" for tip in tips if tip is not None]
+        self._names = [tip.frame for tip in tips if tip is not None]
+        hands = [f"servicer::{name}" for name in self._names]
         grasp = f"debris::{target.second or target.grasp}"
         self._held = Clearance(model, flexible=True, invented=True)
         other = dataclasses.replace(model, end_effector=hands[1], grasp=grasp)
@@ -47,23 +49,18 @@ class Room:
         self._apart = Clearance(model, flexible=True, apart=self._target)
         self._second = _moved(self._held.plant, second)
         self._moving = _moved(self._apart.plant, [*draft.coordinates.joints])
-        ends = (find_frame(self._apart.plant, hand, key="--tips").body() for hand in hands)
-        self._ends = [{*map(_name, self._apart.plant.GetBodiesWeldedTo(end))} for end in ends]
+        self._ends = [_hand(self._apart.plant, hand) for hand in hands]
+        self._checked -= set[str]().union(*self._ends)
         capture = draft.scenario.capture
         self._rate = np.array(capture.rate) if capture else np.zeros(3)
 
     def is_free(self, joints: np.ndarray) -> bool:
         """Whether the parts that the second arm does not move keep clear, the target included."""
-        near = self._near(self._held, Postures.whole(joints))
-        return all(self._second & pair for _, pair in near)
+        return all(self._second & pair for _, pair in self._holding(joints))
 
     def distance(self, joints: np.ndarray) -> float:
         """Return the smallest distance with the target held, m; infinite above ``CLEAR``."""
-        near = self._near(self._held, Postures.whole(joints))
-        return min(
-            (d for d, pair in near if self._target not in pair or pair <= self._checked),
-            default=np.inf,
-        )
+        return min((d for d, _ in self._holding(joints)), default=np.inf)
 
     def along(self, rows: np.ndarray) -> float:
         """Return the smallest ``distance`` of configurations (n, nq), m."""
@@ -86,13 +83,22 @@ class Room:
             found += [d for d, pair in near if self._target in pair and not pair & self._moving]
         return min(found)
 
-    def depths(self, joints: np.ndarray) -> list[float]:
-        """Return the depths to which the shapes of both hands are in the target, m."""
+    def remarks(self, joints: np.ndarray) -> Iterator[str]:
+        """Yield a remark for each hand whose shape is in the target that it holds."""
         near = [*self._with_target(joints, self._pose(joints))]
-        return [
-            max((-d for d, pair in near if self._target in pair and pair & end), default=0.0)
-            for end in self._ends
-        ]
+        for name, end in zip(self._names, self._ends, strict=True):
+            depths = (-d for d, pair in near if self._target in pair and pair & end)
+            if (depth := max(depths, default=0.0)) > _TOLD:
+                yield (
+                    f"the shape of '{name}' is {1e3 * depth:.0f} mm deep in the target at its "
+                    "grasp, where contact does not count: give --tips a frame at the end of the "
+                    "hand to avoid it"
+                )
+
+    def _holding(self, joints: np.ndarray) -> Iterator[tuple[float, set[str]]]:
+        for distance, pair in self._near(self._held, Postures.whole(joints)):
+            if self._target not in pair or pair <= self._checked:
+                yield distance, pair
 
     def _pose(self, joints: np.ndarray) -> RigidTransform:
         """Return the pose of the target that the first hand holds."""
@@ -119,6 +125,15 @@ class Room:
 def _name(body: RigidBody) -> str:
     found: str = body.scoped_name().get_full()
     return found
+
+
+def _hand(plant: MultibodyPlant, frame: str) -> set[str]:
+    """Return the names of the bodies that are fixed to a frame, and of the fingers beyond it."""
+    body = find_frame(plant, frame, key="--tips").body()
+    fixed = {each.index() for each in plant.GetBodiesWeldedTo(body)}
+    joints = map(plant.get_joint, plant.GetJointIndices())
+    beyond = [each.name() for each in joints if each.parent_body().index() in fixed]
+    return {_name(plant.get_body(index)) for index in fixed} | _moved(plant, beyond)
 
 
 def _moved(plant: MultibodyPlant, joints: list[str]) -> set[str]:

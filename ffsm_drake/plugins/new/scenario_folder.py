@@ -65,7 +65,7 @@ def write_folder(
             else:
                 draft.touching += f"; --target {smaller.mass:g}kg,{smaller.side:g}m keeps clear"
         if not draft.is_held:
-            raise ScenarioError("--tips", f"{draft.touching}{_what_may_help(given)}")
+            raise ScenarioError("--tips", f"{draft.touching}{_what_may_help(given, asked)}")
         draft.pace()
         draft = making.redrawn(draft, given, folder)
         if strict and draft.faults:
@@ -112,13 +112,15 @@ def _sides(target: Target) -> list[float]:
     return [rounded((target.side or 0.0) * 0.5**k) for k in range(1, _HALVED + 1)]
 
 
-def _what_may_help(target: Target) -> str:
+def _what_may_help(target: Target, asked: Asked) -> str:
     """The end of the message that no posture holds a target."""
     tried, other = "", f"another place of '{SECOND}'"
     if target.side:
         sides = ", ".join(f"{each:g}" for each in _sides(target))
         tried, other = f"; nor one of {sides} m", "another --target KG,M"
     may_help = "wider limits of the joints, longer arms, other hands"
+    if asked.has_approach:
+        may_help = f"a slower --capture, {may_help}"
     return f"{tried}; what may help: {may_help}, or {other}"
 
 

@@ -207,6 +207,8 @@ def test_colors(tmp_path):
     text = simple_arm().replace(
         '<link name="upper">', '<link name="upper">' + "".join(map(visual, materials))
     )
+    collision = visual('<material name="nowhere"/>').replace("visual", "collision")
+    text = text.replace('<link name="fore">', f'<link name="fore">{collision}')
     text = text.replace("</robot>", '<material name="nowhere else"/></robot>')
     write_urdf(read(tmp_path, text), tmp_path, file_name="copy.urdf", packages={})
     builder = DiagramBuilder()
