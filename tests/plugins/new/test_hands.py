@@ -11,9 +11,7 @@ from outside_urdfs import link, robot, two_hands
 from ffsm_drake import simulate
 from ffsm_drake.cli import main
 from ffsm_drake.common.errors import FfsmError, ModelError
-from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.design.remarks import plan_clearance
-from ffsm_drake.plugins.new import hands
 from ffsm_drake.plugins.new.asked import Asked
 from ffsm_drake.plugins.new.first_mission import FirstMission
 from ffsm_drake.plugins.new.first_scenario import new_scenario
@@ -90,10 +88,11 @@ def test_hands_that_extend_beyond_their_frames(
     """Drawn lengths of arms and hands: the hands may be in the target at its grasp, and are named
     with their depths. The approach begins with a target that nothing touches.
     """
-    drafts = list[FirstMission]()
+    drafts, distances = list[FirstMission](), list[float]()
 
     def stop(self: FirstMission) -> None:
         drafts.append(self)
+        distances.extend(each.distance for each in plan_clearance(self.mission))
         raise _PlacedError("placed")
 
     monkeypatch.setattr(FirstMission, "pace", stop)
@@ -114,8 +113,7 @@ def test_hands_that_extend_beyond_their_frames(
     assert {side: float(depth) for side, depth in told.items()} == pytest.approx(
         {side: 1e3 * depth for side, depth in deep.items()}, abs=1.0
     )
-    approach = Mission(found.scenario)
-    assert min(each.distance for each in plan_clearance(approach)) >= found.scenario.clearance
+    assert min(distances) >= found.scenario.clearance
 
 
 @pytest.mark.long
@@ -155,21 +153,13 @@ def test_hands_that_cannot_both_reach(tmp_path: Path) -> None:
     assert not (tmp_path / "made").exists()
 
 
-@pytest.mark.parametrize(
-    ("seed", "most"),
-    [
-        pytest.param(0, 40_000, marks=pytest.mark.slow),
-        pytest.param(1, 40_000, marks=pytest.mark.long),
-        (2, 100),
-    ],
-)
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_the_search_for_hands_that_hardly_reach_is_short(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int, most: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
     """The second hand gets near the target and cannot turn to it, with any number of joints: the
-    inverse kinematics, each of whose steps solves for joint rates, give up early, or at a bound.
+    inverse kinematics, each of whose steps solves for joint rates, are tried from few postures.
     """
-    monkeypatch.setattr(hands, "_MOST_STEPS", most)
     solved, solve = [0], np.linalg.lstsq
 
     def count(*arguments: object, **options: object) -> object:
@@ -186,5 +176,5 @@ def test_the_search_for_hands_that_hardly_reach_is_short(
     with pytest.raises(ModelError, match=r"cannot both hold the target: none of \d+ p") as error:
         made(tmp_path, narrow, target=tmp_path / "box.urdf")
     assert "or another place of 'grasp_2'" in str(error.value)
-    assert ("none of 300 " in str(error.value)) == (most > 15_000)
-    assert min(most / 2, 200) < solved[0] < min(most + 450, 15_000)
+    assert "none of 300 " in str(error.value)
+    assert solved[0] < 15_000
