@@ -81,7 +81,7 @@ class _PlacedError(FfsmError):
     """The end of a search, before durations and gains are chosen."""
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_hands_that_extend_beyond_their_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
