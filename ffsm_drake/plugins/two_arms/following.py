@@ -115,8 +115,9 @@ class Loads:
             chain, control = self._stage(self._closed[k])
             own, of = begun == k, chain.constraints
             wanted = control.load(of, q[own], v[own], a[own]) + control.preload
-            acting = [of.jacobian(each).T @ one for each, one in zip(q[own], wanted, strict=True)]
-            force[own] += np.array(acting)
+            jacobians = np.array([of.jacobian(each) for each in q[own]])
+            control.check_preload(chain.model, jacobians)
+            force[own] += [A.T @ one for A, one in zip(jacobians, wanted, strict=True)]
             columns = [6 * hands.index(loop.name) for loop in chain.loops]
             places = np.add.outer(columns, np.arange(6)).ravel()
             wrench[np.ix_(own, places)] = [of.wrench(each) for each in wanted]

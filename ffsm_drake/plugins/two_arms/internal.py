@@ -5,11 +5,13 @@ import dataclasses
 import numpy as np
 from pydrake.multibody.tree import Frame
 
+from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.so3 import cross_of
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Constraints
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import InternalForce
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.spacecraft.plant import find_body
 from ffsm_drake.systems.controllers.law import Sample
 
@@ -22,6 +24,7 @@ class InternalControl:
     preload: np.ndarray  # (m)
     share: float | None  # of the target's load; None: the least of ``weight`` tau^2
     weight: np.ndarray  # (nv) of tau^2
+    limit: np.ndarray  # (nv) of tau, N m or N; infinite: none
     target: Frame  # of its body
     # kg; centre of mass (3), m; inertia (3, 3) about the frame's origin, kg m^2; in its axes
     mass: np.ndarray
@@ -39,6 +42,27 @@ class InternalControl:
         if self.share != 0.0:
             wanted = wanted + self.load(chain, sample.q_d, sample.v_d, sample.a_d)
         return force + self.gain * (wanted - measured)
+
+    def check_preload(self, model: PlantModel, jacobians: np.ndarray) -> None:
+        """Raise ScenarioError: at no time of a motion the limit of a joint allows the preload.
+
+        A limited joint would let the integral grow without end.
+
+        Args: the model of the chain; A (n, m, nv) at times of the motion.
+        """
+        held = np.abs(self.preload @ jacobians).min(axis=0)
+        beyond = held - self.limit
+        joint = int(np.argmax(beyond))
+        if beyond[joint] < 1e-9:  # but for rounding on the base
+            return
+        name = model.coordinates.names[joint]
+        unit = "N m" if model.coordinates.units[joint] == "rad" else "N"
+        raise ScenarioError(
+            "chain.force.preload",
+            f"needs at least {held[joint]:.3g} {unit} of {name} at all times of the motion, and "
+            f"its actuation.limit is {self.limit[joint]:.3g} {unit}; lower the preload, or raise "
+            "the limit",
+        )
 
     def load(self, chain: Constraints, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
         """The wrenches (..., m) of the contacts on the target that move it along a motion, without
@@ -88,6 +112,7 @@ def internal_control(
         preload=preload,
         share=share,
         weight=1.0 / squared_limits(limit),
+        limit=limit,
         target=body.body_frame(),
         mass=np.array(inertia.get_mass()),
         center=inertia.get_com(),

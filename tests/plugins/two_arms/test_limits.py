@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import null_space
 
 from ffsm_drake import Scenario, load_scenario, make_nominal_plant, simulate
-from ffsm_drake.common.errors import LimitError
+from ffsm_drake.common.errors import LimitError, ScenarioError
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.design.remarks import plan_limits
 from ffsm_drake.plugins.design.verdict import verdict
@@ -86,6 +86,27 @@ def test_a_late_hand_carries_from_its_grasp_on() -> None:
     wrench = demanded(late, times)[1]["contact_wrench"]
     assert not wrench[:2].any()
     assert np.abs(wrench[2:]).max(axis=1).min() > 0.01
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_preload_beyond_the_limits_of_joints_is_refused(seed: int) -> None:
+    """The torque that all times of a motion need is found without limits."""
+    random, times = np.random.default_rng(seed), np.linspace(0.0, 6.0, 7)
+    preload = (random.normal(size=6) * np.repeat([3.0, 10.0], 3)).tolist()
+    free = load_scenario("two_arms", [FAST, {"chain": {"force": {"preload": preload}}}])
+    motion, _ = demanded(free, times)
+    model = make_nominal_plant(free)
+    chain, names = ClosedChain(model, free, true=False), model.coordinates.names[6:]
+    torques = [np.abs(preload @ chain.jacobian(q))[6:] for q in motion.evaluate(times)[0]]
+    needed = dict(zip(names, np.min(torques, axis=0).tolist(), strict=True))
+    joint = str(random.choice([name for name, each in needed.items() if each > 0.05]))
+    for share in (0.99, 1.01):
+        given = free.replace(actuation={"limit": {joint: share * needed[joint]}})
+        if share > 1.0:
+            demanded(given, times)
+            continue
+        with pytest.raises(ScenarioError, match=rf"preload: needs at least .* of {joint} at all"):
+            demanded(given, times)
 
 
 @pytest.mark.slow
