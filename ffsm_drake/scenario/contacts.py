@@ -160,11 +160,7 @@ def _contact_problems(scenario: Any) -> Problems:
         return
     yield from _of_hands(scenario)
     yield from _of_late_hands(scenario)
-    for key, problem in (
-        ("capture.closing", scenario.closing is not None),
-        ("reference.frame", scenario.reference.frame is not None),
-        ("actuation.driven", bool(scenario.undriven)),
-    ):
+    for key, problem in (("capture.closing", scenario.closing is not None),):
         if problem and len(scenario.contacts) > 1:
             yield key, "is not supported with more than one contact; remove it"
 

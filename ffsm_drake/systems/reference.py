@@ -128,17 +128,18 @@ def _from_start(mission: Mission, grip: Grip) -> PlannedMotion:
 
 def followed(mission: Mission, nominal: PlantModel, motion: PlannedMotion) -> PlannedMotion:
     """Return a motion along a prescribed frame path: joints follow the frame, undriven coordinates
-    the conservation of momentum. A closed chain's follow its target.
+    the conservation of momentum. Those of a closed chain follow its target or frame.
     """
-    if len(mission.scenario.contacts) > 1:
-        key = "contacts"
-    elif mission.scenario.reference.frame is not None:
-        key = "reference.frame"
-    elif mission.scenario.undriven:
-        key = "actuation.driven"
-    else:
-        return motion
-    return FOLLOWERS.load(key, key)(motion, mission, nominal)
+    scenario, keys = mission.scenario, list[str]()
+    if len(scenario.contacts) > 1:
+        keys.append("contacts")
+    elif scenario.reference.frame is not None:
+        keys.append("reference.frame")
+    if scenario.undriven and scenario.reference.frame is None:
+        keys.append("actuation.driven")
+    for key in keys:
+        motion = FOLLOWERS.load(key, key)(motion, mission, nominal)
+    return motion
 
 
 def timed(mission: Mission, grip: Grip = WHOLE) -> Mission:

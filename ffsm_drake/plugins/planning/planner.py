@@ -109,6 +109,9 @@ class _Planner:
         self._planned = order = model.coordinates.driven  # indices of the z that is planned
         self._dynamics: InverseDynamics | ChainDynamics = InverseDynamics(model, first)
         if len(scenario.contacts) > 1:
+            if scenario.undriven:
+                problem = "a plan of several hands moves the base with actuators; add the base"
+                raise ScenarioError("actuation.driven", problem)
             self._dynamics = chain = ChainDynamics(mission, model, first, self._limits)
             self._start, self._planned, order = chain.chain.start, chain.chain.free, chain.order
         self._own_limits = self._limits.of(order)

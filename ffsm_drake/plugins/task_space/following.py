@@ -14,12 +14,15 @@ def free_motion(motion: PlannedMotion, mission: Mission, model: PlantModel) -> F
 
 
 def resolved_motion(motion: PlannedMotion, mission: Mission, model: PlantModel) -> ResolvedMotion:
-    """Return a motion whose joints move a frame along its path. Raises the errors of the path."""
-    scenario = mission.scenario
+    """Return a motion whose joints move a frame along its path. Raises the errors of the path.
+
+    The model may be one of a closed chain, with fewer coordinates than the motion.
+    """
+    scenario, tree = mission.scenario, mission.craft.nominal(model.grip)
     assert scenario.reference.frame is not None
     return ResolvedMotion(
         motion,
-        path=make_frame_path(mission, model, duration=motion.end),
+        path=make_frame_path(mission, tree, duration=motion.end),
         goal=scenario.reference.frame,
         frame=goal_frame(scenario, model.plant),
         model=model,

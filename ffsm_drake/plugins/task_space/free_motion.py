@@ -35,6 +35,7 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         position: np.ndarray,
         velocity: np.ndarray,
         sample_time: float,
+        begin: float = 0.0,
         end: float,
     ) -> None:
         """Args:
@@ -42,14 +43,15 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         position: q (nq) at the start.
         velocity: v (nv) at the start; only its momentum matters.
         sample_time: the control period, s.
-        end: end of the motion, s.
+        begin, end: of the motion, s; see ``PlannedMotion``.
         """
         self._model, self._driven = model, model.coordinates.driven
         self._momentum = self._stack(position).momentum(velocity)
         self._first, self._part = position, max(end, _LEAST_PART)
         # dense solutions q(t) over one part of this duration, s, after the other, as far as needed
         self._parts = list[Any]()
-        super().__init__(coordinates=model.coordinates, sample_time=sample_time, end=end)
+        coordinates = model.coordinates
+        super().__init__(coordinates=coordinates, sample_time=sample_time, begin=begin, end=end)
 
     @abc.abstractmethod
     def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
@@ -89,9 +91,9 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         )
 
     def _rate(self, time: float, q: np.ndarray) -> np.ndarray:
-        """q' (nq) = N(q) v."""
+        """q' (nq) = N(q) v, of all velocities in a closed chain."""
         unit = np.concatenate([q[:4] / np.linalg.norm(q[:4]), q[4:]])
-        v = self.velocity(time, unit)
+        v = self._model.calc_whole_velocity(unit, self.velocity(time, unit))
         return np.concatenate([quaternion_rate(unit[:4], v[:3]), v[3:]])
 
     def solve(self) -> Any:
@@ -161,8 +163,17 @@ class FreeMotion(MomentumMotion):
             position=q,
             velocity=v,
             sample_time=sample_time,
+            begin=wanted.begin,
             end=wanted.end,
         )
+
+    def instants(self, count: int) -> np.ndarray:
+        """See PlannedMotion."""
+        return self._wanted.instants(count)
+
+    def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """See PlannedMotion."""
+        return self._wanted.shared(times, found)
 
     def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
         return self._wanted.evaluate(np.array([time]))[1][0, self._driven]

@@ -26,7 +26,6 @@ from ffsm_drake.common.so3 import quaternion_rate
 from ffsm_drake.plugins.task_space.free_motion import MomentumMotion
 from ffsm_drake.scenario import FrameGoal
 from ffsm_drake.spacecraft.coordinates import (
-    NUM_BASE_POSITIONS,
     NUM_BASE_VELOCITIES,
     position_errors,
 )
@@ -95,14 +94,16 @@ class ResolvedMotion(MomentumMotion):
         sample_time: float,
     ) -> None:
         """Args:
-        wanted: the motion without the frame.
+        wanted: the motion without the frame, of the model's coordinates at least.
         path: path of the frame.
         goal: goal of the frame.
         frame: the frame.
         model, sample_time: see ``MomentumMotion``.
         """
         self._wanted, self._path, self._goal, self._frame = wanted, path, goal, frame
-        coordinates = model.coordinates
+        coordinates, names = model.coordinates, wanted.coordinates.names
+        # the model's coordinates in v of the motion; a closed chain has fewer
+        self._places = np.array([names.index(name) for name in coordinates.names])
         # indices among the driven coordinates
         self._arm = np.flatnonzero(coordinates.driven >= NUM_BASE_VELOCITIES)
         self._base = coordinates.driven[: self._arm[0]]  # indices in v of driven base coordinates
@@ -117,6 +118,7 @@ class ResolvedMotion(MomentumMotion):
         self._most = max(_SLOWEST, float(np.linalg.norm(path.rows(times)[:, 7:13], axis=1).max()))
         self._fastest = float(path.blend.blend(times)[1].max())
         q, v, _ = wanted.evaluate(0.0)
+        v = v[self._places]
         self._posture = goal.joints == "target_posture" or goal.task == "none"
         self._first_rate = v[NUM_BASE_VELOCITIES:]
         stack = free_floating(model, q, [coordinates.names[i] for i in coordinates.driven])
@@ -143,7 +145,8 @@ class ResolvedMotion(MomentumMotion):
         inputs, change = self._inputs(times)
         v = self._resolved(q, inputs).v
         # Inputs of the rates are extrapolated linearly: central differences need no more.
-        rate = np.hstack([quaternion_rate(q[:, :4].T, v[:, :3].T).T, v[:, 3:]])
+        every = self._model.calc_whole_velocity(q, v)
+        rate = np.hstack([quaternion_rate(q[:, :4].T, v[:, :3].T).T, every[:, 3:]])
         after, before = (
             self._resolved(
                 q + h * rate, [x + h * slope for x, slope in zip(inputs, change, strict=True)]
@@ -207,21 +210,15 @@ class ResolvedMotion(MomentumMotion):
         rates of the joints' own motion, the gain towards these positions, 1/s, and the fraction of
         the first reaction.
         """
-        path, coordinates, arm = (
-            self._path.rows(times),
-            self._model.coordinates,
-            self._first_rate.size,
-        )
+        path, places, arm = self._path.rows(times), self._places, self._first_rate.size
         turn = quaternion_rate(path[:, :4].T, path[:, 7:10].T).T
         _, slow, slower = (column[:, None] for column in self._path.blend.stop(times))
         _, speed, acceleration = (column[:, None] for column in self._path.blend.blend(times))
         pull, rest = self._goal.feedback / self._fastest, np.zeros((times.size, arm))
         q = v = a = rest
         if self._posture or self._base.size:
-            wanted = self._wanted.rows(times)
-            q, v, a = np.split(
-                wanted, np.cumsum([len(coordinates.position_names), len(coordinates.names)]), axis=1
-            )
+            q, v, a = self._wanted.evaluate(times)
+            q, v, a = q[:, 1 + places], v[:, places], a[:, places]
         if self._posture:
             joints, rate, change = (each[:, -arm:] for each in (q, v, a))
             free, changing = [joints, rate, pull * speed], [rate, change, pull * acceleration]
@@ -244,7 +241,7 @@ class ResolvedMotion(MomentumMotion):
         error = position_errors(pose, self._model.calc_frame_pose(q, self._frame))[:, self._task]
         feedback = self._goal.feedback * error
         feedback /= np.sqrt(1.0 + (feedback * feedback).sum(axis=1, keepdims=True) / self._most**2)
-        v = np.zeros((len(q), q.shape[1] - 1))  # with the joints at rest
+        v = np.zeros((len(q), self._places.size))  # with the joints at rest
         if self._moves:
             v = stack.velocity(np.hstack([base, v[:, -count:]]), self._momentum)
         following = stack.following[..., arm]
@@ -276,7 +273,7 @@ class ResolvedMotion(MomentumMotion):
                 right, inverse * _times(np.swapaxes(left, 1, 2), target - _times(matrix, rates))
             )
             free = free - (right * (inverse * sizes)[:, None]) @ np.swapaxes(right, 1, 2)
-        rates = rates + _times(free, rate + pull * (joints - q[:, NUM_BASE_POSITIONS:]))
+        rates = rates + _times(free, rate + pull * (joints - q[:, 1 + self._places[-count:]]))
         v[:, NUM_BASE_VELOCITIES:] = rates
         v[:, stack.undriven] += _times(following, rates)
         return _Resolved(v, smallest, error)

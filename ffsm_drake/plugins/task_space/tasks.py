@@ -30,7 +30,7 @@ from pydrake.multibody.tree import Frame
 from ffsm_drake.common.products import applied
 from ffsm_drake.plugins.task_space.resolved_motion import damped_inverse
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS, NUM_BASE_VELOCITIES
-from ffsm_drake.spacecraft.free_floating import FreeFloating
+from ffsm_drake.spacecraft.free_floating import FreeFloating, whole_model
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import (
     ControlLaw,
@@ -63,12 +63,8 @@ class TaskSpace:
         no such frame.
         """
         scenario, given = setup.scenario, setup.nominal
-        model = given
-        if given.coordinates.undriven:  # the whole model, not the reduced one that laws get
-            model = PlantModel(
-                plant=given.plant, context=given.context, coordinates=given.coordinates
-            )
         frame, rows = goal_frame(scenario, given.plant), tracked_rows(scenario)
+        model = whole_model(given)  # laws get the reduced one
         return cls(model=model, frame=frame, rows=rows, driven=given.coordinates.driven)
 
     def at(self, sample: Sample, *, damping: float) -> "TaskPoint":

@@ -152,7 +152,7 @@ class ClosedChain:
         self.model = model
         closing = closing_contacts(scenario, grip)
         paths = {
-            name: _joints_to(
+            name: joints_to(
                 model.plant,
                 find_frame(model.plant, contact.effector, key=f"contacts.{name}.effector"),
             )
@@ -183,7 +183,7 @@ class ClosedChain:
             rows=_as_rows(np.eye(6)),
             held=np.concatenate([quaternion_of(off[0]), off[1]]),
         )
-        if not np.array_equal(_joints_to(plant, closure.grasp), self.carrying):
+        if not np.array_equal(joints_to(plant, closure.grasp), self.carrying):
             raise ScenarioError(f"{key}.frame", f"'{contact.frame}' is not fixed to the target")
         seen = np.hstack(list(self._drawn_jacobians(closure)))
         directions, sizes, _ = np.linalg.svd(seen, full_matrices=False)
@@ -266,7 +266,7 @@ def _as_rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, matrix.tolist()))
 
 
-def _joints_to(plant: MultibodyPlant, frame: Frame) -> np.ndarray:
+def joints_to(plant: MultibodyPlant, frame: Frame) -> np.ndarray:
     """Indices in v of the joints between the base and a frame, from the base outwards."""
     inboard = {
         joint.child_body().index(): joint for joint in map(plant.get_joint, plant.GetJointIndices())

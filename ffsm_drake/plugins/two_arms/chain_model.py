@@ -16,6 +16,7 @@ from ffsm_drake.common.products import applied, product, times
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Constraints
 from ffsm_drake.plugins.two_arms.internal import force_limits, squared_limits
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.free_floating import ReducedModel
 from ffsm_drake.spacecraft.nominal import PlantModel, stacked
@@ -184,6 +185,12 @@ def minimal_model(mission: Mission, chain: ClosedChain) -> ChainModel:
         q = make_motion(mission, tree.grip).evaluate(time)[0]
     else:
         q = configuration(tree.coordinates, scenario.initial_posture, key="initial_posture")
+    return model_at(scenario, chain, q)
+
+
+def model_at(scenario: Scenario, chain: ClosedChain, q: np.ndarray) -> ChainModel:
+    """The model in minimal velocities that are chosen near a configuration q (nq)."""
+    tree = chain.model
     coordinates, chosen = tree.coordinates, np.sort(np.concatenate(chain.followers(q)))
     free = np.setdiff1d(np.arange(len(coordinates.names)), chosen)
     joints = free[NUM_BASE_VELOCITIES:] - NUM_BASE_VELOCITIES

@@ -56,6 +56,10 @@ class ClosedMotion(PlannedMotion):
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
         return np.array([self._closed(row) for row in self._motion.rows(times)])
 
+    def remarks(self) -> list[str]:
+        """See PlannedMotion."""
+        return self._motion.remarks()
+
     def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """See PlannedMotion."""
         return self._loads.shared(self.evaluate(times), times, found)

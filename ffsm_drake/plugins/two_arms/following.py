@@ -79,6 +79,10 @@ class Following(PlannedMotion):
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
         return with_arms(self, self._motion.rows(times), self._arms, times)
 
+    def remarks(self) -> list[str]:
+        """See PlannedMotion."""
+        return self._motion.remarks()
+
     def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """See PlannedMotion."""
         return self._loads.shared(self.evaluate(times), times, found)
@@ -129,6 +133,15 @@ class Loads:
             chain = ClosedChain(self._nominal, self._scenario, Grip(closed=closed), true=False)
             self._stages[closed] = chain, planned_control(self._scenario, chain)
         return self._stages[closed]
+
+
+def span(scenario: Scenario, grip: Grip, end: float) -> tuple[float, float]:
+    """Begin and end (s) in the phase of a grip, of a motion to ``end``."""
+    closed = grip.closed
+    if closed is None:
+        return 0.0, end
+    later = (each for each in closing_times(scenario) if each > closed)
+    return closed, min(later, default=max(end, closed))
 
 
 def with_arms(

@@ -20,6 +20,7 @@ from ffsm_drake.plugins.two_arms.chain_model import ChainModel, minimal_model
 from ffsm_drake.plugins.two_arms.internal import InternalControl, internal_control
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import closing_contacts
+from ffsm_drake.spacecraft.free_floating import driven_model, whole_model
 from ffsm_drake.spacecraft.plant import DRAKE_ERRORS
 from ffsm_drake.systems.controllers.controller import OPTIONAL_OUTPUTS
 from ffsm_drake.systems.controllers.law import ControlLaw, ReachingGain, Sample, State, WrappedLaw
@@ -130,12 +131,12 @@ def make_in_chain(setup: BlockSetup, make: Callable[[BlockSetup], Any]) -> Contr
                 "compliant does not go with chain.law: minimal, which takes the chain for rigid; "
                 "set chain.law: plain",
             )
-    chain = ClosedChain(nominal, scenario, setup.grip, true=False)
+    chain = ClosedChain(whole_model(nominal), scenario, setup.grip, true=False)
     model = minimal_model(setup.mission, chain)
     following = set(nominal.coordinates.names) - set(model.coordinates.names)
     own = dataclasses.replace(
         setup,
-        nominal=model,
+        nominal=driven_model(model),
         mission=setup.mission.of(_without(scenario, following)),
         settings=_pruned(dict(setup.settings), following),
     )

@@ -23,8 +23,10 @@ from ffsm_drake.plugins.two_arms.following import (
     Loads,
     Reach,
     fitted,
+    span,
     with_arms,
 )
+from ffsm_drake.plugins.two_arms.framed import framed_motion
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import ALL_HANDS, closing_times
 from ffsm_drake.spacecraft.coordinates import (
@@ -71,14 +73,11 @@ class ChainMotion(PlannedMotion):
             Reach(*each, velocity[each[0]]) for each in reaching if velocity is not None
         ]
         self._motion, self._blend = motion, Blend(scenario.reference, motion.end)
-        # begin and end in the phase
-        begin, end, closed = 0.0, motion.end, nominal.grip.closed
+        closed = nominal.grip.closed
         self._scenario = scenario
         latest = closings if closed is None else [closed]
         self._loads = Loads(scenario, nominal, dict(zip(latest, latest, strict=True)))
-        if closed is not None:
-            begin = closed
-            end = min([each for each in closings if each > closed], default=max(end, closed))
+        begin, end = span(scenario, nominal.grip, motion.end)
         period = scenario.sample_time
         super().__init__(coordinates=motion.coordinates, sample_time=period, begin=begin, end=end)
 
@@ -240,9 +239,11 @@ def start_of(mission: Mission, model: PlantModel, state: np.ndarray) -> np.ndarr
 
 
 def closed_motion(motion: PlannedMotion, mission: Mission, nominal: PlantModel) -> PlannedMotion:
-    """The motion of a chain: along a plan, or of the target along the path of a polynomial. Raises
-    the errors of both.
+    """The motion of a chain: of a frame along its path, along a plan, or of the target along the
+    path of a polynomial. Raises the errors of these motions.
     """
+    if mission.scenario.reference.frame is not None:
+        return framed_motion(motion, mission, nominal)
     if mission.scenario.reference.kind != "optimal":
         return ChainMotion(motion, mission, nominal)
     if len(closing_times(mission.scenario)) > 1:

@@ -4,7 +4,7 @@ PLUGIN = Plugin(
     about="Two arms that hold one target: the closed chain, laws in it, and its internal force",
     page="two_arms",
     needs=("equations", "tape"),
-    uses=("faults",),
+    uses=("faults", "task_space"),
     brings={
         "planned_chains": {"contacts": "two_arms.programs:ChainPrograms"},
         "sections": {"forces.contacts": "two_arms.contact:Contacts"},
