@@ -41,7 +41,7 @@ class Following(PlannedMotion):
         nominal: PlantModel,
         *,
         since: float,
-        closed: float,
+        closed: float | None = None,
     ) -> None:
         """Args:
           motion: the motion, with first guesses of the joints of the closing arms at its start.
@@ -49,7 +49,7 @@ class Following(PlannedMotion):
           nominal: the plant with the nominal payload.
           since: begin of the motion after the grasp of the first hand, s.
           closed: hands with ``closes`` up to this time, s, hold the target then. The others close
-            where the motion ends, but not before their time.
+            where the motion ends, but not before their time. None: all close at their time.
 
         Raises ScenarioError: a hand does not reach its place, or an arm is singular.
         """
@@ -61,7 +61,9 @@ class Following(PlannedMotion):
         chain = ClosedChain(nominal, scenario, ALL_HANDS, true=False)
         close, self._arms = Closing(chain, [row[:nq]], motion.end), list[Reach]()
         end = period * samples_to(motion.end, period)
-        begins = {each: max(each - since, end) if each > closed else 0.0 for each in closings}
+        begins = {each: each - since for each in closings}
+        if closed is not None:
+            begins = {each: max(each - since, end) if each > closed else 0.0 for each in closings}
         self._loads = Loads(scenario, nominal, begins)
 
         def rest(time: float) -> np.ndarray:
