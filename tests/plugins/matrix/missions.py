@@ -13,7 +13,14 @@ ROOT = Path(__file__).parents[3]
 
 # The first value of each factor is the plain one.
 FACTORS = {
-    "spacecraft": ("shipped", "own servicer", "own servicer and target", "generated servicer"),
+    "spacecraft": (
+        "shipped",
+        "own servicer",
+        "own servicer and target",
+        "generated servicer",
+        "two arms",
+        "later hand",
+    ),
     "law": ("proposed", "tdc", "own law", "task-space law"),
     "estimator": ("kalman", "one_sample", "coupled"),
     "sensors": ("noisy", "flight", "late", "own sensor"),
@@ -31,6 +38,7 @@ FACTORS = {
 }
 PLAIN = {factor: values[0] for factor, values in FACTORS.items()}
 
+_TWO_ARMS = ("two arms", "later hand")
 _UNDRIVEN = ("base rotation and joints", "joints")
 _APPROACHES = ("capture with approach", "measured target")
 # Combinations that are refused: what the one line names, beside the rows of docs/combinations.md.
@@ -52,6 +60,26 @@ REFUSED = {
         ({"supervisor": "supervisor", "motion": "frame"}, ("supervisor", "reference.frame")),
         ({"law": "task-space law", "command": "design"}, ("task_time_delay", "gains are designed")),
         ({"motion": "frame", "command": "plan"}, ("reference.frame", "plan")),
+        *(
+            ({"spacecraft": two_arms, "start": "measured target"}, ("capture.closing", "contact"))
+            for two_arms in _TWO_ARMS
+        ),
+        *(
+            (
+                {"spacecraft": two_arms, "driven": driven, factor: "plan"},
+                ("actuation.driven", "plan"),
+            )
+            for two_arms in _TWO_ARMS
+            for driven in _UNDRIVEN
+            for factor in ("motion", "command")
+        ),
+        *(
+            (
+                {"spacecraft": "later hand", "driven": driven, "motion": "frame"},
+                ("closes", "reference.frame"),
+            )
+            for driven in _UNDRIVEN
+        ),
         *(
             (
                 {"start": "capture from the grasp", "driven": "joints", **planned},
@@ -89,6 +117,19 @@ _LAWS = {
 }
 
 
+_SHIPPED = {"shipped": "postcapture", "two arms": "two_arms", "later hand": "two_arms"}
+# Joint angles, rad, at which each hand is 0.3 m from its place, along the z axis of the hand.
+_OPEN = {
+    side: {f"{side}_{k}": angle for k, angle in enumerate(angles, start=1)}
+    for side, angles in (
+        ("left", (2.061, 1.68, -1.756, 0.0, 1.647, 2.061)),
+        ("right", (1.081, 1.647, -1.398, 0.0, -1.819, -1.081)),
+    )
+}
+_LATER = {
+    "contacts": {"right": {"closes": 3.0}},
+    "initial_posture": {"joints": _OPEN["right"]},
+}
 # Joint angles, rad, from which and towards which own spacecraft move: free of contact, the base's
 # wheels as strong as the motion asks.
 _ARM = (1.135, 0.056, 1.888, -1.909, 1.502, -1.907)
@@ -176,6 +217,11 @@ def overrides_of(row, scenario, plan):
     parts = [_always(row, scenario), {"controller": _LAWS[row["law"]]}, _SENSORS[row["sensors"]]]
     parts += [{"estimator": _estimator(row)}, _BASE_ACTUATORS.get(row["base actuators"], {})]
     parts += [_start(row, scenario), _motion(row, scenario, plan)]
+    if row["spacecraft"] in _TWO_ARMS and "thrusters" in row["base actuators"]:
+        # two arms and the target need more force than 12x5N has
+        parts.append(_BASE_ACTUATORS["thrusters"])
+    if row["spacecraft"] == "later hand":
+        parts.append(_LATER)
     if row["joint actuators"] == "drives":
         parts.append(
             {
@@ -184,7 +230,7 @@ def overrides_of(row, scenario, plan):
                 }
             }
         )
-    bus = "servicer::base" if row["spacecraft"] == "shipped" else "servicer::bus"
+    bus = "servicer::base" if row["spacecraft"] in _SHIPPED else "servicer::bus"
     if row["flexible"] == "panels":
         sides = {"port": [0, 1, 0], "starboard": [0, -1, 0]}
         panels = {
@@ -235,6 +281,8 @@ def _start(row, scenario):
     if row["start"] == "capture from the grasp":
         return {"capture": capture}
     joints = _on_the_way(row, scenario, 0.25)
+    if row["spacecraft"] in _TWO_ARMS:
+        joints = {**_OPEN["left"], **_OPEN["right"]}
     capture["approach"] = {"duration": APPROACH, "posture": {"joints": joints}}
     capture["envelope"] = dict.fromkeys(("position", "angle", "velocity", "angular_velocity"))
     if row["start"] == "measured target":
@@ -271,8 +319,8 @@ def generated_servicer(seed=0):
 
 def spacecraft_of(value, folder):
     """The scenario, a shipped name or a file, of a value of the factor ``spacecraft``."""
-    if value == "shipped":
-        return "postcapture"
+    if value in _SHIPPED:
+        return _SHIPPED[value]
     target = value == "own servicer and target"
     text = generated_servicer() if value == "generated servicer" else outside_urdfs.six_joints()
     folder.mkdir(parents=True, exist_ok=True)

@@ -13,6 +13,7 @@ from missions import FACTORS, PLAIN, REFUSED, ROOT, WARNED, overrides_of, spacec
 
 from ffsm_drake import ScenarioError, load_scenario
 from ffsm_drake.cli import main
+from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.design.limits_left import CLEARANCE
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.plugins.planning.planner import plan_motion
@@ -145,9 +146,11 @@ def test_a_mission_settles_as_predicted(row, workshop, tmp_path, monkeypatch):
     file.write_text(text)
 
     def known(each, **asked):
-        return found if scenario_to_yaml(each) == text else verdict(each, **asked)
+        of = each.scenario if isinstance(each, Mission) else each
+        return found if scenario_to_yaml(of) == text else verdict(each, **asked)
 
-    monkeypatch.setattr("ffsm_drake.plugins.design.verdict.verdict", known)
+    for place in ("judge", "verdict"):
+        monkeypatch.setattr(f"ffsm_drake.plugins.design.{place}.verdict", known)
     for line in commands(row, file, tmp_path):
         result = ffsm(*line)
         codes = (0, 3) if line[0] == "stability" and found.is_alarm else (0,)
