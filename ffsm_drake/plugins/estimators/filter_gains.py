@@ -20,6 +20,7 @@ _OF_POSITION = 0.1
 # Largest work on the gains of a filter of late and slow sensors, in multiplications, roughly: a
 # second.
 _LARGEST = 3e8
+_REFINED = 60  # common periods in which the covariance becomes exact
 
 
 @memoized(maxsize=64)  # shared by equal coordinates, and by all loops of a search for a boundary
@@ -196,15 +197,19 @@ class _SensedFilter:
         covariance = self._stationary(kinds[order])
         sums = np.zeros((len(kinds), *self.output.T.shape))
         for kind in order:
-            seen = np.flatnonzero(kinds[kind])
-            of = self.output[seen]
-            innovation = of @ covariance @ of.T + np.diag(self.noise[seen])
-            gain = np.linalg.solve(innovation, of @ covariance).T
-            sums[kind][:, seen] += gain
-            covariance = covariance - gain @ of @ covariance
-            covariance = self.transition @ covariance @ self.transition.T + self.process
+            gain, covariance = self._next(kinds[kind], covariance)
+            sums[kind] += gain
         mean: np.ndarray = sums / np.bincount(order)[:, None, None]
         return mean
+
+    def _next(self, new: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The gain (size, 2 n) of a sample, and the covariance before the next one."""
+        seen, gain = np.flatnonzero(new), np.zeros(self.output.T.shape)
+        of = self.output[seen]
+        innovation = of @ covariance @ of.T + np.diag(self.noise[seen])
+        gain[:, seen] = np.linalg.solve(innovation, of @ covariance).T
+        covariance = covariance - gain[:, seen] @ of @ covariance
+        return gain, self.transition @ covariance @ self.transition.T + self.process
 
     def _stationary(self, new: np.ndarray) -> np.ndarray:
         """Return the covariance before the first sample of the common period."""
@@ -215,10 +220,19 @@ class _SensedFilter:
             whole = whole.then(_Riccati(self.transition, information, self.process))
         for _ in range(60):
             before, whole = whole.h, whole.then(whole)
-            size = np.sqrt(np.diag(before))
-            if (np.abs(whole.h - before) <= 1e-12 * size * size[:, None]).all():
+            if _is_close(whole.h, before):
                 break
-        return whole.h
+        # Doubling loses digits of a walk that is much larger than the noise; the filter itself
+        # forgets such an error.
+        covariance = whole.h
+        for _ in range(_REFINED):
+            before = covariance
+            for each in new:
+                covariance = self._next(each, covariance)[1]
+            covariance = 0.5 * (covariance + covariance.T)
+            if _is_close(covariance, before):
+                break
+        return covariance
 
     def check(self, gains: np.ndarray, order: Sequence[int]) -> None:
         """Raise LinAlgError if the filter with these gains is unstable."""
@@ -252,6 +266,12 @@ def _at_present(
     units = np.repeat([step**2, step], count)
     sizes = np.concatenate([units, np.repeat([1.0, step], count), np.repeat(units, delays)])
     return np.concatenate(rows, axis=1) * sizes[:, None] / units
+
+
+def _is_close(covariance: np.ndarray, before: np.ndarray) -> bool:
+    """Whether a covariance no longer changes."""
+    size = np.sqrt(np.diag(before))
+    return bool((np.abs(covariance - before) <= 1e-12 * size * size[:, None]).all())
 
 
 class _Riccati(NamedTuple):

@@ -3,11 +3,13 @@ them.
 """
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
 from flight_settings import FLIGHT, NO_NOISE
 from refusals import assert_refused
+from scipy.linalg import solve_discrete_are
 from scipy.spatial.transform import Rotation
 
 from ffsm_drake import load_scenario, make_nominal_plant
@@ -319,6 +321,28 @@ def test_gains_are_those_of_the_whole_filter(period, delay, others):
         scale = np.abs(expected).max()
         assert gain == pytest.approx(expected, abs=1e-6 * scale, rel=1e-5), kind
         assert not gain[:, ~np.array(kind)].any()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_gains_of_prompt_sensors_solve_the_riccati_equation(seed):
+    """Of light and heavy parts together, whose walk is much larger than the noise."""
+    rng, n = np.random.default_rng(seed), 12
+    turn = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    response = turn @ np.diag(10.0 ** rng.uniform(-2, 2, n)) @ turn.T
+    walk = 10.0 ** rng.uniform(-2, -1)
+    axis = SensedAxis(position_noise=1e-6, velocity_noise=1e-6, walk=walk)
+    _, ((gain,),) = gains_of([axis] * n, responses=response[None], sample_time=PERIOD)
+    one, zero, output = np.eye(n), np.zeros((n, n)), np.eye(2 * n, 3 * n)
+    units = np.repeat([PERIOD**2, PERIOD, 1.0], n)  # of accelerations
+    transition = np.block([[one, one, response / 2], [zero, one, response], [zero, zero, one]])
+    process = np.diag(np.repeat([0.0, 0.0, walk**2 * PERIOD], n))
+    of_walk = np.linalg.norm(response * walk, axis=1) * math.sqrt(PERIOD)  # see ``_assumed``
+    position = np.maximum(1e-6 / PERIOD**2, 0.1 * np.minimum(1e-6 / PERIOD, of_walk))
+    noise = np.diag(np.concatenate([position, np.full(n, 1e-6 / PERIOD)]) ** 2)
+    covariance = solve_discrete_are(transition.T, output.T, process, noise)
+    innovation = output @ covariance @ output.T + noise
+    expected = np.linalg.solve(innovation, output @ covariance).T * units[:, None] / units[: 2 * n]
+    assert gain[: 3 * n] == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
 
 
 def by_groups(rng, low, high):
