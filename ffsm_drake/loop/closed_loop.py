@@ -389,20 +389,15 @@ class _Wiring:
         forces, own, hidden = self._forces, "generalized_force", "hidden_force"
         self._connect_inputs(*forces)
         last = [system for system in forces if system.HasInputPort("other_force")]
+        first = [system for system in forces if system not in last]
         added = [self._signals[name] for name in ADDED_FORCES if name in self._signals]
-        others = [(system, own) for system in forces if system not in last]
-        acts = self._sum("total_force", [self.sources["applied_force"], *others, *added])
-        on_hidden = [system for system in forces if system.HasOutputPort(hidden)]
-        at_hidden = [(system, hidden) for system in on_hidden if system not in last]
-        acts = self._on_whole_plant("total", acts, at_hidden)
+        terms = [self.sources["applied_force"], *((system, own) for system in first), *added]
+        acts = self._on_whole_plant("total", self._sum("total_force", terms), first)
         if last:
             self._signals["other_force"] = acts
-            terms = [acts]
-            for system in last:
-                at_hidden = [(system, hidden)] * (system in on_hidden)
-                name = system.get_name()
-                terms.append(self._on_whole_plant(name, (system, own), at_hidden))
-            acts = self._sum("last_force", terms)
+            whole = self._on_whole_plant
+            terms = [whole(each.get_name(), (each, own), [each]) for each in last]
+            acts = self._sum("last_force", [acts, *terms])
         for system in forces:
             self._add_outputs(system, (WRENCH, JAM))
         self._connect_inputs(self._controller, *last)
@@ -414,7 +409,7 @@ class _Wiring:
             if system in forces and not any(map(system.HasInputPort, READ_BY_FORCES))
         }
         self.sources["disturbance_force"] = self._sum("external_force", [*now.values()])
-        if on_hidden:
+        if on_hidden := [each for each in forces if each.HasOutputPort(hidden)]:
             name = "external_hidden_force"
             self.sources[name] = self._sum(name, [_at_once(each, hidden) for each in on_hidden])
         if len(now) > 1:
@@ -461,12 +456,12 @@ class _Wiring:
         self._builder.Connect(port, hold.get_input_port())
         return _output(hold)
 
-    def _on_whole_plant(self, name: str, acts: Source, on_hidden: list[Source]) -> Source:
-        """Combine a force on the known coordinates with forces on hidden coordinates."""
+    def _on_whole_plant(self, name: str, acts: Source, systems: list[System]) -> Source:
+        """Combine a force on the known coordinates with those of systems on hidden coordinates."""
         if not self._split.names:
             return acts
-        terms = [self._along(f"{name}_known_force", acts, self._split.known)]
-        if on_hidden:
+        terms, of = [self._along(f"{name}_known_force", acts, self._split.known)], "hidden_force"
+        if on_hidden := [(each, of) for each in systems if each.HasOutputPort(of)]:
             total = self._sum(f"{name}_hidden_sum", on_hidden)
             terms.append(self._along(f"{name}_hidden_force", total, self._split.hidden))
         return self._sum(f"{name}_whole_force", terms)

@@ -160,9 +160,8 @@ def _contact_problems(scenario: Any) -> Problems:
         return
     yield from _of_hands(scenario)
     yield from _of_late_hands(scenario)
-    for key, problem in (("capture.closing", scenario.closing is not None),):
-        if problem and len(scenario.contacts) > 1:
-            yield key, "is not supported with more than one contact; remove it"
+    if scenario.closing is not None and len(scenario.contacts) > 1:
+        yield "capture.closing", "is not supported with more than one contact; remove it"
 
 
 def _of_hands(scenario: Any) -> Problems:

@@ -24,7 +24,7 @@ import numpy as np
 from pydrake.geometry import Mesh, Role, Shape
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, Joint, RigidBody
+from pydrake.multibody.tree import BodyIndex, Frame, Joint, RigidBody
 
 from ffsm_drake.common.errors import ModelError, one_line
 from ffsm_drake.common.memo import memoized
@@ -110,7 +110,7 @@ class Clearance:
         apart: str | None = None,
         flexible: bool = False,
         invented: bool = False,
-        hands: Sequence[str] = (),
+        hands: Sequence[Sequence[str]] = (),
     ) -> None:
         """Load the model.
 
@@ -119,7 +119,7 @@ class Clearance:
           apart: body (scoped name) not grasped yet, whose pose then follows the configuration.
           flexible: with the plates of flexible panels.
           invented: with shapes that stand for links without a picture.
-          hands: frames (scoped names) of further hands, which may touch the target.
+          hands: frames (scoped names) of hands, which may touch the target, and on the target.
 
         Raises:
           ModelError: the model does not load, or MuJoCo does not accept its shapes.
@@ -127,13 +127,10 @@ class Clearance:
         self.plant: MultibodyPlant = parsed_plant(model, apart=apart, flexible=flexible)
         self.plant_context = self.plant.CreateDefaultContext()
         self._places = _places_in(self.plant)
-        self._hands = {
-            each.index()
-            for hand in hands
-            for each in self.plant.GetBodiesWeldedTo(
-                find_frame(self.plant, hand, key="contacts").body()
-            )
-        }
+        # frames of a hand, and on the target, where it holds that
+        self._grips: list[list[Frame]] = [
+            [find_frame(self.plant, each, key="contacts") for each in both] for both in hands
+        ]
         self._bodies = [self.plant.get_body(BodyIndex(i)) for i in range(self.plant.num_bodies())]
         self._shapes, self.unmeasured = list[_Shape](), list[str]()
         self._gather(model, flexible=flexible, invented=invented)
@@ -219,10 +216,16 @@ class Clearance:
             self._apart[met] = self._measured[kept], [self._bodies_of[k] for k in kept]
         return self._apart[met]
 
-    def _move(self, q: np.ndarray) -> None:
-        """Put the shapes where a configuration of the plant has them."""
-        self.plant.SetPositions(self.plant_context, q)
-        poses = (body.EvalPoseInWorld(self.plant_context) for body in self._shaped)
+    def _move(self, q: np.ndarray, grip: Sequence[Frame] | None = None) -> None:
+        """Put the shapes where a configuration of the plant has them, the target in a hand."""
+        context = self.plant_context
+        self.plant.SetPositions(context, q)
+        poses = [body.EvalPoseInWorld(context) for body in self._shaped]
+        for k, body in enumerate(self._shaped if grip else ()):
+            hand, at = grip or ()
+            if not self._is_held(body, at.body()):
+                in_hand = body.body_frame().CalcPose(context, at)
+                poses[k] = hand.CalcPoseInWorld(context) @ in_hand
         self._solids.place(np.array([pose.GetAsMatrix34() for pose in poses]))
 
     def _solids_of(self, first: RigidBody, second: RigidBody) -> list[tuple[int, int]]:
@@ -266,11 +269,14 @@ class Clearance:
         shaped = [body for body in self._shaped if body.index() != 0]
         for first, second in itertools.combinations(shaped, 2):
             one, other = moving[first.index()], moving[second.index()]
-            joints = sorted(one ^ other, key=lambda joint: joint.velocity_start())
-            if not joints or (
-                self._is_held(first, second)
-                and not self._hands.isdisjoint((first.index(), second.index()))
-            ):
+            between, grip = one ^ other, None
+            for each in self._grips if self._is_held(first, second) else ():
+                link = one if self._is_held(first, each[1].body()) else other
+                own = link ^ moving[each[0].body().index()]
+                if len(own) < len(between):
+                    between, grip = own, each
+            joints = sorted(between, key=lambda joint: joint.velocity_start())
+            if not joints:
                 continue
             connected = {
                 frozenset((each.parent_body().index(), each.child_body().index()))
@@ -284,7 +290,7 @@ class Clearance:
                 is_free
                 or len(joints) > _NEIGHBOURS
                 or (self._is_held(first, second) and is_base)
-                or not self._always_near(first, second, joints)
+                or not self._always_near(first, second, joints, grip)
             ):
                 pairs.append((first, second))
         return pairs
@@ -294,9 +300,11 @@ class Clearance:
         """Whether two bodies are of different models, a servicer and what it holds."""
         return first.model_instance() != second.model_instance()
 
-    def _always_near(self, first: RigidBody, second: RigidBody, joints: list[Joint]) -> bool:
+    def _always_near(
+        self, first: RigidBody, second: RigidBody, joints: list[Joint], grip: Sequence[Frame] | None
+    ) -> bool:
         """True if two bodies are nearer than _NEAR at every angle of the joints between them, and
-        what is held does not overlap by more than _DEEP at all of them.
+        what is held does not overlap by more than _DEEP at all of them; ``grip``: see ``_grips``.
         """
         q = self.plant.GetPositions(self.plant_context)  # with unit quaternions
         pairs = np.array(self._solids_of(first, second))
@@ -307,7 +315,7 @@ class Clearance:
                 if not np.isfinite(limits).all():
                     limits = [-1.0, 1.0] if joint.type_name() == "prismatic" else [-np.pi, np.pi]
                 q[joint.position_start()] = generator.uniform(*limits)
-            self._move(q)
+            self._move(q, grip)
             distance, _ = self._solids.least(pairs)
             if distance > _NEAR:
                 return False
@@ -332,7 +340,12 @@ class ApproachClearance(Clearance):
     """
 
     def __init__(
-        self, model: Model, target: str, *, flexible: bool = False, hands: tuple[str, ...] = ()
+        self,
+        model: Model,
+        target: str,
+        *,
+        flexible: bool = False,
+        hands: Sequence[Sequence[str]] = (),
     ) -> None:
         """Args:
           model: the model.
@@ -384,13 +397,14 @@ def shapes_of(scenario: Scenario, *, apart: bool = False) -> Clearance:
     """Return the collision shapes of a scenario's model, flexible parts included; ``apart``: its
     target is not grasped yet.
     """
-    model, hands = scenario.model, tuple(each.effector for each in scenario.contacts.values())
+    model, contacts = scenario.model, scenario.contacts.values()
+    hands = tuple((each.effector, each.frame) for each in contacts)
     return _loaded(model, scenario.payload.body if apart else None, hands)
 
 
 # called after every run of a campaign; loading is slow
 @memoized(maxsize=4, files=model_files)
-def _loaded(model: Model, apart: str | None, hands: tuple[str, ...]) -> Clearance:
+def _loaded(model: Model, apart: str | None, hands: Sequence[Sequence[str]]) -> Clearance:
     """Return the shapes of a model."""
     if apart is None:
         return Clearance(model, flexible=True, hands=hands)

@@ -11,14 +11,16 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.framework import DiagramBuilder
 
 from ffsm_drake import load_scenario
+from ffsm_drake.mission import Mission
 from ffsm_drake.scenario import Model
-from ffsm_drake.spacecraft.clearance import ApproachClearance, Clearance
+from ffsm_drake.spacecraft.clearance import ApproachClearance, Clearance, shapes_of
 from ffsm_drake.spacecraft.plant import (
     add_combined_plant,
     configuration,
     coordinates_of,
     models_dir,
 )
+from ffsm_drake.systems.reference import make_motion
 
 DRAWS = int(os.environ.get("FFSM_DRAWS", "8"))
 BEYOND = 0.012  # m; by which a picture may stand out of its shape
@@ -263,3 +265,20 @@ def test_a_flexible_panel_counts_where_it_is_deflected():
     assert {distance[towards].first, distance[towards].second} & {"mast_1", "mast_2"}
     assert distance[-towards].distance > distance[towards].distance + 0.1
     assert clearance.nearest(q) == clearance.nearest(np.r_[q, 0.0, 0.0])  # at rest by default
+
+
+@pytest.mark.parametrize("name", ["two_arms", "two_arms_capture", "two_arms_detumble"])
+def test_a_target_in_two_hands_is_measured_against_both_arms(name):
+    """Against all but the hands and the wrists near them, alike for both; the motion keeps clear."""
+    scenario = load_scenario(name)
+    shapes, motion = shapes_of(scenario), make_motion(Mission(scenario))
+    of_target = {
+        (first if second.name() == "debris" else second).name()
+        for first, second in shapes.pairs
+        if "debris" in (first.name(), second.name())
+    }
+    arms = {f"{side}_link_{k}" for side in ("left", "right") for k in range(1, 5)}
+    assert of_target == {"base", *arms}
+    times = np.linspace(scenario.grasp_time, motion.end, 60)
+    nearest = shapes.along(np.array([motion.evaluate(time)[0] for time in times])).nearest
+    assert nearest.distance > max(scenario.clearance, 0.01)

@@ -28,7 +28,6 @@ from ffsm_drake.plugins.planning.planned_report import PlannedMotionReport
 from ffsm_drake.plugins.planning.program import PlanningProgram
 from ffsm_drake.plugins.task_space.free_motion import FreeMotion
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.scenario.contacts import ALL_HANDS, closing_contacts
 from ffsm_drake.spacecraft.clearance import Clearance
 from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_POSITIONS,
@@ -97,8 +96,8 @@ class _Planner:
         self._scenario, self._progress = scenario, progress
         model = self._model = mission.craft.nominal()
         self._limits = motion_limits(mission)
-        hands = closing_contacts(scenario, ALL_HANDS).values()
-        self._clearance = Clearance(scenario.model, hands=[each.effector for each in hands])
+        hands = [(each.effector, each.frame) for each in scenario.contacts.values()]
+        self._clearance = Clearance(scenario.model, hands=hands)
         self._start = configuration(
             model.coordinates, scenario.initial_posture, key="initial_posture"
         )
