@@ -269,7 +269,7 @@ def test_a_flexible_panel_counts_where_it_is_deflected():
 
 @pytest.mark.parametrize("name", ["two_arms", "two_arms_capture", "two_arms_detumble"])
 def test_a_target_in_two_hands_is_measured_against_both_arms(name):
-    """Against all but the hands and the wrists near them, alike for both; the motion keeps clear."""
+    """Against all but the hands and the wrists near them, alike. The motions keep clear."""
     scenario = load_scenario(name)
     shapes, motion = shapes_of(scenario), make_motion(Mission(scenario))
     of_target = {
