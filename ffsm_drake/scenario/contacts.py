@@ -160,7 +160,7 @@ def _contact_problems(scenario: Any) -> Problems:
         return
     yield from _of_hands(scenario)
     yield from _of_late_hands(scenario)
-    if scenario.closing is not None and len(scenario.contacts) > 1:
+    if scenario.closing and len(scenario.contacts) > 1:
         yield "capture.closing", "is not supported with more than one contact; remove it"
 
 

@@ -128,7 +128,7 @@ class Clearance:
         self.plant_context = self.plant.CreateDefaultContext()
         self._places = _places_in(self.plant)
         # frames of a hand, and on the target, where it holds that
-        self._grips: list[list[Frame]] = [
+        self._grips = [
             [find_frame(self.plant, each, key="contacts") for each in both] for both in hands
         ]
         self._bodies = [self.plant.get_body(BodyIndex(i)) for i in range(self.plant.num_bodies())]
@@ -216,16 +216,17 @@ class Clearance:
             self._apart[met] = self._measured[kept], [self._bodies_of[k] for k in kept]
         return self._apart[met]
 
-    def _move(self, q: np.ndarray, grip: Sequence[Frame] | None = None) -> None:
+    def _move(self, q: np.ndarray, grip: Sequence[Frame] = ()) -> None:
         """Put the shapes where a configuration of the plant has them, the target in a hand."""
         context = self.plant_context
         self.plant.SetPositions(context, q)
         poses = [body.EvalPoseInWorld(context) for body in self._shaped]
-        for k, body in enumerate(self._shaped if grip else ()):
-            hand, at = grip or ()
-            if not self._is_held(body, at.body()):
-                in_hand = body.body_frame().CalcPose(context, at)
-                poses[k] = hand.CalcPoseInWorld(context) @ in_hand
+        if grip:
+            hand, at = grip
+            for k, body in enumerate(self._shaped):
+                if not self._is_held(body, at.body()):
+                    in_hand = body.body_frame().CalcPose(context, at)
+                    poses[k] = hand.CalcPoseInWorld(context) @ in_hand
         self._solids.place(np.array([pose.GetAsMatrix34() for pose in poses]))
 
     def _solids_of(self, first: RigidBody, second: RigidBody) -> list[tuple[int, int]]:
@@ -269,7 +270,7 @@ class Clearance:
         shaped = [body for body in self._shaped if body.index() != 0]
         for first, second in itertools.combinations(shaped, 2):
             one, other = moving[first.index()], moving[second.index()]
-            between, grip = one ^ other, None
+            between, grip = one ^ other, []
             for each in self._grips if self._is_held(first, second) else ():
                 link = one if self._is_held(first, each[1].body()) else other
                 own = link ^ moving[each[0].body().index()]
@@ -301,7 +302,7 @@ class Clearance:
         return first.model_instance() != second.model_instance()
 
     def _always_near(
-        self, first: RigidBody, second: RigidBody, joints: list[Joint], grip: Sequence[Frame] | None
+        self, first: RigidBody, second: RigidBody, joints: list[Joint], grip: Sequence[Frame]
     ) -> bool:
         """True if two bodies are nearer than _NEAR at every angle of the joints between them, and
         what is held does not overlap by more than _DEEP at all of them; ``grip``: see ``_grips``.
@@ -397,9 +398,8 @@ def shapes_of(scenario: Scenario, *, apart: bool = False) -> Clearance:
     """Return the collision shapes of a scenario's model, flexible parts included; ``apart``: its
     target is not grasped yet.
     """
-    model, contacts = scenario.model, scenario.contacts.values()
-    hands = tuple((each.effector, each.frame) for each in contacts)
-    return _loaded(model, scenario.payload.body if apart else None, hands)
+    hands = tuple((each.effector, each.frame) for each in scenario.contacts.values())
+    return _loaded(scenario.model, scenario.payload.body if apart else None, hands)
 
 
 # called after every run of a campaign; loading is slow

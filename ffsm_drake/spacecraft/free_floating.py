@@ -284,15 +284,15 @@ def driven_model(model: PlantModel) -> PlantModel:
     """
     if not model.coordinates.undriven:
         return model
-    kind: Any = getattr(model, "reduced", ReducedModel)  # a model of a plug-in has its own
-    return kind(**_fields(model))
+    # a model of a plug-in has its own
+    return _made(getattr(model, "reduced", ReducedModel), model)
 
 
 def whole_model(model: PlantModel) -> PlantModel:
     """Return the model of which ``driven_model`` made one."""
-    kind: Any = type(model).__bases__[-1]
-    return kind(**_fields(model)) if isinstance(model, ReducedModel) else model
+    return _made(type(model).__bases__[-1], model) if isinstance(model, ReducedModel) else model
 
 
-def _fields(model: PlantModel) -> dict[str, Any]:
-    return {each.name: getattr(model, each.name) for each in dataclasses.fields(model)}
+def _made(kind: Any, model: PlantModel) -> Any:
+    """Return a model of a kind with the fields of another."""
+    return kind(**{each.name: getattr(model, each.name) for each in dataclasses.fields(model)})
