@@ -75,7 +75,11 @@ class CoupledEstimator(Estimator):
         axes = np.flatnonzero([group != "base_position" for group in coordinates.group_of])
         walk = coordinates.vector(scenario.estimator.force_walk, key="estimator.force_walk")
         together = [dataclasses.replace(sensed[i], walk=float(walk[i])) for i in axes]
-        postures, (kinds, gain) = _gains_along(mission, grip, axes=axes, sensed=tuple(together))
+        whole = mission.craft.nominal(grip).coordinates.names  # a closed chain has fewer
+        places = [whole.index(coordinates.names[i]) for i in axes]
+        postures, (kinds, gain) = _gains_along(
+            mission, grip, axes=tuple(places), sensed=tuple(together)
+        )
         bias = np.array([axis.bias_walk for axis in together])
         unbiased = 3 * axes.size + np.flatnonzero(bias == 0.0)
         return cls(
@@ -180,7 +184,7 @@ def _gains_along(
     /,
     grip: Grip,
     *,
-    axes: np.ndarray,
+    axes: tuple[int, ...],
     sensed: tuple[SensedAxis, ...],
 ) -> tuple[np.ndarray, SensedGains]:
     """Postures (m, nq) of a mission's plan, with the gains of each.
@@ -190,13 +194,13 @@ def _gains_along(
 
     Args:
       mission: with its model and plan.
-      axes: the coordinates that are taken together (n).
+      axes: places of the coordinates that are taken together in those of the spacecraft (n).
       sensed: their noise assumptions (n), with the walk of the force.
     """
     model = driven_model(mission.craft.nominal(grip))
     motion = make_motion(mission, grip)
     q, _, _ = motion.evaluate(np.linspace(motion.begin, motion.end, _INSTANTS))
-    inverse = np.linalg.inv(model.calc_mass_matrix(q))[:, axes[:, None], axes]
+    inverse = np.linalg.inv(model.calc_mass_matrix(q))[:, np.array(axes)[:, None], axes]
     # Distances by the logarithm of the eigenvalue farthest from one: they add up along the motion.
     ratios = np.linalg.eigvals(np.linalg.solve(inverse[1:], inverse[:-1])).real
     passed = np.cumsum([0.0, *np.abs(np.log(ratios)).max(axis=1)])

@@ -270,7 +270,7 @@ def _at_present(
 
 def _is_close(covariance: np.ndarray, before: np.ndarray) -> bool:
     """Whether a covariance no longer changes."""
-    size = np.sqrt(np.diag(before))
+    size = np.sqrt(np.maximum(np.diag(before), 0.0))  # but for rounding
     return bool((np.abs(covariance - before) <= 1e-12 * size * size[:, None]).all())
 
 

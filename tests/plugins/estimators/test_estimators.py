@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 from flight_settings import FLIGHT, NO_NOISE
+from numpy.testing import assert_allclose
 from refusals import assert_refused
 from scipy.linalg import solve_discrete_are
 from scipy.spatial.transform import Rotation
@@ -15,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from ffsm_drake import load_scenario, make_nominal_plant
 from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.estimators.assumed_noise import sensed_axes
 from ffsm_drake.plugins.estimators.coupled import CoupledEstimator
 from ffsm_drake.plugins.estimators.filter_gains import (
     SensedAxis,
@@ -24,6 +26,7 @@ from ffsm_drake.plugins.estimators.filter_gains import (
 from ffsm_drake.plugins.estimators.kalman import KalmanEstimator, LateKalmanEstimator
 from ffsm_drake.runs.phases import make_rollout
 from ffsm_drake.scenario import ESTIMATOR_KINDS
+from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers import Sample, gain_vectors
 from ffsm_drake.systems.controllers.estimation import (
     ESTIMATORS,
@@ -429,6 +432,32 @@ def test_a_sample_unlike_all_others_has_the_gain_of_the_nearest_kind():
     seen = [*kinds, [0, 0, 0, 1], [0, 1, 1, 1]]
     found = [estimator.of_kind(gain[0], np.array(new, dtype=bool)) for new in seen]
     assert np.array_equal(found, gain[0][[0, 1, 2, 0, 2]])
+
+
+@pytest.mark.parametrize("left_out", [(), ("right_1", "right_6"), ("left_2", "right_3")])
+def test_the_coupled_filter_of_fewer_coordinates_has_their_inertia(left_out):
+    """As in a closed chain, whose law has only the joints that move the others, in any order."""
+    mission = make_mission(load_scenario("two_arms", ["estimator.kind=coupled"]))
+    model = mission.craft.nominal()
+    whole = model.coordinates
+    kept = [i for i, name in enumerate(whole.joints) if name not in left_out]
+    joints, units = ([of[i] for i in kept] for of in (whole.joints, whole.joint_units))
+    fewer = Coordinates(tuple(joints), tuple(units), whole.undriven)
+    own, all_of_them = (
+        CoupledEstimator.make(mission, each, None, mission.craft.nominal().grip)
+        for each in (fewer, whole)
+    )
+    for q, gains in zip(own.postures, own.gain, strict=True):
+        inverse = np.linalg.inv(model.calc_mass_matrix(q))
+        places = [whole.names.index(fewer.names[i]) for i in own.axes]
+        sensed = np.array(sensed_axes(mission.scenario, fewer))[own.axes]
+        walk = fewer.vector(mission.scenario.estimator.force_walk, key="")[own.axes]
+        sensed = [dataclasses.replace(axis, walk=w) for axis, w in zip(sensed, walk, strict=True)]
+        response = -inverse[np.ix_(places, places)]
+        _, (expected,) = gains_of(sensed, responses=response[None], sample_time=0.01)
+        rows = [*range(3 * own.axes.size)]
+        assert_allclose(gains[:, rows], expected[:, rows], rtol=1e-9, atol=1e-9)
+    assert own.axes.size == all_of_them.axes.size - len(left_out)
 
 
 def test_the_gain_is_that_of_the_nearest_posture():
