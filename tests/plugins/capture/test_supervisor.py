@@ -4,6 +4,8 @@ import functools
 
 import numpy as np
 import pytest
+from c_code import needs_llvm
+from entry_points import needs
 from pydrake.systems.framework import LeafSystem
 
 from ffsm_drake import ScenarioError, load_scenario, simulate
@@ -220,6 +222,8 @@ def test_a_new_plan_keeps_the_momentum(undriven):
     assert np.abs(desired[-1, nq:][driven]).max() < 1e-9
 
 
+@needs("compiled")
+@needs_llvm
 def test_the_compiled_run_of_undriven_coordinates_is_that_of_drake(undriven):
     pytest.importorskip("ffsm_drake.plugins.compiled")
     record = simulate(undriven.scenario, engine="compiled", check_stability=False)
