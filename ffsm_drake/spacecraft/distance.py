@@ -1,5 +1,4 @@
-"""Signed distances between convex solids, and rays that meet them, by MuJoCo, whose search has a
-bound on its iterations.
+"""Signed distances between convex solids, by MuJoCo, whose search has a bound on its iterations.
 
 Drake's own search does not end for some pairs (capsules with axes that meet, a tetrahedron on a
 box). A mesh is represented by its convex hull, in single precision.
@@ -15,7 +14,6 @@ from pydrake.math import RigidTransform
 _ITERATIONS, _TOLERANCE = 1000, 1e-12  # of a search; m
 _LEAST, _MOST = 1e-9, 1e10  # m; of a size, of a distance
 _THIN, _GROWN = 1e-4, 1e-6  # a hull thinner than a share of its size grows by a share of it, or m
-_FIRST_GROUP = np.array([1, 0, 0, 0, 0, 0], np.uint8)
 _CORNERS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 
 
@@ -48,12 +46,12 @@ def measures_of(shape: Shape) -> tuple[str, np.ndarray]:
 class Solids:
     """Convex solids, each fixed to a body."""
 
-    def __init__(
-        self, shapes: Sequence[tuple[int, Shape, RigidTransform]], *, for_rays: bool = False
-    ) -> None:
+    # MuJoCo's depth of a capsule in a box is inexact; of one in the box's corners it is not.
+    boxes_by_corners = True
+
+    def __init__(self, shapes: Sequence[tuple[int, Shape, RigidTransform]]) -> None:
         """Args:
           shapes: of each solid the number of its body, its shape, and its pose X_BG in the body.
-          for_rays: boxes are in double precision, and depths of capsules in them are inexact.
 
         Raises:
           RuntimeError, ValueError: a shape cannot be measured.
@@ -65,8 +63,7 @@ class Solids:
         # The tree that speeds up rays has the solids where they were compiled.
         spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
         made = [(*measures_of(shape), X_BG) for _, shape, X_BG in shapes]
-        # MuJoCo's depth of a capsule in a box is inexact; of one in the box's corners it is not.
-        by_corners = not for_rays and any(kind == "capsule" for kind, *_ in made)
+        by_corners = self.boxes_by_corners and any(kind == "capsule" for kind, *_ in made)
         for k, (kind, sizes, X_BG) in enumerate(made):
             if by_corners and kind == "box":
                 kind, sizes = "mesh", sizes * _CORNERS
@@ -81,7 +78,6 @@ class Solids:
             geom.pos, geom.quat = X_BG.translation(), X_BG.rotation().ToQuaternion().wxyz()
         self._model = spec.compile()
         self._data, self._calc = mujoco.MjData(self._model), mujoco.mj_geomDistance
-        self._calc_rays = mujoco.mj_multiRay
         turns = np.empty((len(made), 9))
         for turn, quaternion in zip(turns, self._model.geom_quat, strict=True):
             mujoco.mju_quat2Mat(turn, quaternion)
@@ -120,26 +116,6 @@ class Solids:
         for k in np.flatnonzero(self._apart(pairs) < most).tolist():
             if (distance := self._distance(pairs[k], most, points)) < most:
                 yield k, distance, points.reshape(2, 3).copy()
-
-    def first_met(
-        self, point: np.ndarray, rays: np.ndarray, passed: Sequence[int]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the number of the first solid that each ray meets (n), -1 without one, and its
-        distance (n), m.
-
-        Args:
-          point: where the rays begin (3), in the world.
-          rays: unit directions (n, 3).
-          passed: numbers of solids that no ray meets, such as those around the point.
-        """
-        numbers, distances = np.zeros(len(rays), np.int32), np.zeros(len(rays))
-        self._model.geom_group[:] = 0
-        self._model.geom_group[passed] = 1
-        self._calc_rays(
-            self._model, self._data, point, rays.ravel(), _FIRST_GROUP, True, -1, numbers,
-            distances, None, len(rays), _MOST,
-        )  # fmt: skip
-        return numbers, distances
 
     def _distance(self, pair: np.ndarray, most: float, points: np.ndarray | None) -> float:
         return float(self._calc(self._model, self._data, *pair, min(most, _MOST), points))

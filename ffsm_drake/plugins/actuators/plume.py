@@ -37,6 +37,8 @@ from ffsm_drake.spacecraft.plant import (
 )
 
 _LEAST = 1e-4  # m; rays do not meet a shape that is nearer to their nozzle or around it
+_FARTHEST = 1e10  # m
+_FIRST_GROUP = np.array([1, 0, 0, 0, 0, 0], np.uint8)
 _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))  # rad
 
 
@@ -54,6 +56,36 @@ def rays_of(axis: np.ndarray, settings: Plume) -> tuple[np.ndarray, float]:
         sine * np.sin(turn), np.cross(axis, first)
     )
     return np.outer(cosine, axis) + across, 1.0 / float(cosine.sum())
+
+
+class RaySolids(Solids):
+    """Convex solids that rays meet. Boxes are in double precision; depths of capsules in them are
+    inexact.
+    """
+
+    boxes_by_corners = False
+
+    def first_met(
+        self, point: np.ndarray, rays: np.ndarray, passed: Sequence[int]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the number of the first solid that each ray meets (n), -1 without one, and its
+        distance (n), m.
+
+        Args:
+          point: where the rays begin (3), in the world.
+          rays: unit directions (n, 3).
+          passed: numbers of solids that no ray meets, such as those around the point.
+        """
+        import mujoco  # slow
+
+        numbers, distances = np.zeros(len(rays), np.int32), np.zeros(len(rays))
+        self._model.geom_group[:] = 0
+        self._model.geom_group[passed] = 1
+        mujoco.mj_multiRay(
+            self._model, self._data, point, rays.ravel(), _FIRST_GROUP, True, -1, numbers,
+            distances, None, len(rays), _FARTHEST,
+        )  # fmt: skip
+        return numbers, distances
 
 
 class PlumeField:
@@ -82,7 +114,7 @@ class PlumeField:
         nozzles = [
             (len(shapes), Sphere(0.0), RigidTransform(np.array(unit.position))) for unit in units
         ]
-        self._solids = Solids([*shapes, *nozzles], for_rays=True)
+        self._solids = RaySolids([*shapes, *nozzles])
         self._at = np.array([unit.position for unit in units], dtype=float)
         axes = -np.array([unit.direction for unit in units], dtype=float)
         axes /= np.linalg.norm(axes, axis=1)[:, None]

@@ -10,6 +10,7 @@ from pydrake.systems.framework import System
 from pydrake.systems.primitives import DiscreteTimeDelay, PassThrough, Saturation
 
 from ffsm_drake.plugins.actuators.base import BaseActuators
+from ffsm_drake.plugins.actuators.continuous_system import ContinuousSystem
 from ffsm_drake.plugins.actuators.drives import FRICTION, DriveSet, JointFriction, RateLimit
 from ffsm_drake.plugins.actuators.gyroscopic import Gyroscopic
 from ffsm_drake.plugins.actuators.link import LossyLink, link_of, lossy_link
@@ -19,7 +20,7 @@ from ffsm_drake.plugins.actuators.thrusters import ThrusterSet
 from ffsm_drake.plugins.actuators.wheel_set import WheelSet
 from ffsm_drake.scenario import Actuation, Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.continuous import Continuous, ContinuousSystem, InstantSystem
+from ffsm_drake.systems.continuous import Continuous, InstantSystem
 from ffsm_drake.systems.faults import Hit, detects, hits
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.sampled import Sampled, SampledSystem

@@ -10,10 +10,15 @@ from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Sphere
 from pydrake.math import RigidTransform
 
 from ffsm_drake import load_scenario, simulate
-from ffsm_drake.plugins.actuators.plume import PlumeField, allocated, rays_of, returned_shares
+from ffsm_drake.plugins.actuators.plume import (
+    PlumeField,
+    RaySolids,
+    allocated,
+    rays_of,
+    returned_shares,
+)
 from ffsm_drake.scenario import Plume, thrusters_of
 from ffsm_drake.spacecraft.craft import make_true_plant
-from ffsm_drake.spacecraft.distance import Solids
 from ffsm_drake.spacecraft.plant import configuration
 
 LAYOUT = "actuation.thrusters.layout=16x22N"
@@ -56,7 +61,7 @@ def test_a_ray_enters_where_it_first_reaches_the_surface(make, sizes, seed):
     shape, level = make(*sizes)  # at most 1 within
     draw = np.random.default_rng(seed)
     place = RigidTransform(draw.uniform(-1.0, 1.0, 3))
-    solids = Solids([(0, shape, place), (0, Sphere(9.0), place)], for_rays=True)
+    solids = RaySolids([(0, shape, place), (0, Sphere(9.0), place)])
     solids.place(np.eye(3, 4)[None])
     p = draw.uniform(-3.0, 3.0, (50, 3))
     p = p[level(p) > 1.0 + 1e-9]
