@@ -359,19 +359,20 @@ def changes(path: Path, found: Any) -> list[str]:
 
 
 def as_stored(found: Any, expected: Any, moved: Any, *, scale: float = 0.0) -> Any:
-    """Return a computed tree, with the stored one wherever rounding explains the difference. A
-    rewritten file then shows only what is new.
+    """Return a computed tree, with the stored one wherever rounding explains the difference, in the
+    order of the stored one. A rewritten file then shows only what is new.
     """
     if isinstance(found, dict) and isinstance(expected, dict):
         of_key = moved if isinstance(moved, dict) else {}
         return {
             key: as_stored(
-                value,
+                found[key],
                 expected.get(key),
                 of_key.get(key),
                 scale=max(scale, 1.0) if key in BALANCES else scale,
             )
-            for key, value in found.items()
+            for key in dict.fromkeys([*expected, *found])
+            if key in found
         }
     if moved == ANY or any(differences(found, expected, moved, scale=scale)):
         return found
