@@ -104,6 +104,9 @@ class KalmanEstimator(Estimator):
         """One sample; see Estimator."""
         e, e_dot, d = predict(sample, nominal_mass_matrix, state, step=self.sample_time)
         position, rate = sample.e - e, sample.e_dot - e_dot
+        if sample.is_new is not None:  # a reading was lost
+            new_position, new_rate = np.split(sample.is_new, 2)
+            position, rate = np.where(new_position, position, 0.0), np.where(new_rate, rate, 0.0)
         correction = self.gain[..., 0] * position[..., None] + self.gain[..., 1] * rate[..., None]
         e, e_dot, d = e + correction[..., 0], e_dot + correction[..., 1], d + correction[..., 2]
         estimate = Estimate(e, e_dot, base_force=np.zeros_like(d), base_acceleration=-d)

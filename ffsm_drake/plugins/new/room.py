@@ -4,7 +4,6 @@ A hand may extend beyond its frame, into the target that it holds. It may touch 
 its fingers, and links that are near the target in every posture of the hand, such as its wrist.
 """
 
-import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -40,17 +39,14 @@ class Room:
         tips = (draft.servicer.tip, draft.servicer.second)
         self._names = [tip.frame for tip in tips if tip is not None]
         hands = [f"servicer::{name}" for name in self._names]
-        grasp = f"debris::{target.second or target.grasp}"
-        self._held = Clearance(model, flexible=True, invented=True)
-        other = dataclasses.replace(model, end_effector=hands[1], grasp=grasp)
-        mirrored = Clearance(other, flexible=True, invented=True)
-        names = [{_name(body) for body in pair} for pair in mirrored.pairs]
-        self._checked = set[str]().union(*(pair for pair in names if self._target in pair))
+        places = [f"debris::{name}" for name in (target.grasp, target.second or target.grasp)]
+        self._held = Clearance(
+            model, flexible=True, invented=True, hands=[*zip(hands, places, strict=True)]
+        )
         self._apart = Clearance(model, flexible=True, apart=self._target)
         self._second = _moved(self._held.plant, second)
         self._moving = _moved(self._apart.plant, [*draft.coordinates.joints])
         self._ends = [_hand(self._apart.plant, hand) for hand in hands]
-        self._checked -= set[str]().union(*self._ends)
         capture = draft.scenario.capture
         self._rate = np.array(capture.rate) if capture else np.zeros(3)
 
@@ -96,8 +92,9 @@ class Room:
                 )
 
     def _holding(self, joints: np.ndarray) -> Iterator[tuple[float, set[str]]]:
+        ends = set[str]().union(*self._ends)
         for distance, pair in self._near(self._held, Postures.whole(joints)):
-            if self._target not in pair or pair <= self._checked:
+            if self._target not in pair or not pair & ends:
                 yield distance, pair
 
     def _pose(self, joints: np.ndarray) -> RigidTransform:

@@ -128,7 +128,7 @@ class TaskTimeDelay(AccelerationLaw):
             e=point.e,
             e_dot=point.e_dot,
             applied_force=given[:, 0],
-            is_new=None,
+            is_new=_of_frame(point.sample.is_new, len(point.e)),
         )
         estimate, estimator_memory = self.estimator.step(sample, np.eye(len(given)), own)
         u, dynamics_memory = self._limited(estimate.e, estimate.e_dot, point, own)
@@ -147,6 +147,15 @@ class TaskTimeDelay(AccelerationLaw):
         jacobian = task_space.model.calc_jacobian(q, task_space.frame)[task_space.rows]
         estimator = make_estimator(setup.mission, setup.coordinates, jacobian, setup.grip)
         return cls(**field_values(cls, setup, task_space=task_space, estimator=estimator))
+
+
+def _of_frame(is_new: np.ndarray | None, size: int) -> np.ndarray | None:
+    """Return the mask (2 size) of new measurements of a frame, which are new if those of all
+    coordinates are.
+    """
+    if is_new is None:
+        return None
+    return np.repeat([part.all() for part in np.split(is_new, 2)], size)
 
 
 def _at_estimate(sample: Sample, estimate: Estimate, space: TaskSpace) -> Sample:

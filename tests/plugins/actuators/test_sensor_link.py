@@ -79,9 +79,15 @@ COMPILED = {
     "joints": ["effects.sensor_link={drop_rate: 0.4, coordinates: [joints], order: received}"],
     "both directions": [LINK, "effects.link={drop_rate: 0.2, delay: [0, 0.02]}"],
     "kalman": [LINK, "controller=tdc", "estimator.kind=kalman"],
+    "a frame": [
+        LINK, "controller=task_time_delay", "estimator={kind: kalman, walk: 0.03}",
+        "sensing.position_noise=1e-6",
+        "controllers.task_time_delay={k_p_rotation: 25, k_p_position: 25, k_d_rotation: 10, "
+        "k_d_position: 10}",
+    ],
     "slow and late sensors": [LINK, "sensing.velocity_period=3", "sensing.delay=1"],
     "a fault": [LINK, "faults.events={stop: {unit: sensing.joint_2, kind: silent, time: 0.1}}"],
-}
+}  # fmt: skip
 
 
 @needs("compiled")

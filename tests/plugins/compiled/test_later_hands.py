@@ -73,6 +73,9 @@ def drawn(kind, seed, lanes=LANES, also=()):
         given.append("sensing.position_bias={right_1: 0.1}")
         width = "{position: 0.5, angle: 0.2, velocity: null}"
         given += [f"capture.envelope={width}"] if random.random() < 0.5 else []
+    if approaches:
+        braked = np.random.default_rng([seed, 1]).choice(["free", "braked"])
+        given.append(f"capture.joints={braked}")
     found = []
     for k in range(lanes):
         closes = round(random.uniform(0.2, 0.7), 2) * is_late

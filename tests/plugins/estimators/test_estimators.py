@@ -569,8 +569,19 @@ def test_no_random_motion_of_the_joints_makes_the_coupled_filter_diverge():
         assert log.outcome.completed, (start, end)
 
 
-def test_what_is_not_new_is_not_looked_at():
-    estimator = made("slow_navigation")
+@pytest.mark.parametrize(
+    "given",
+    [
+        ["slow_navigation"],
+        ["slow_navigation", "estimator.kind=coupled"],
+        ["postcapture", "estimator.kind=kalman"],
+        ["postcapture", "estimator.kind=coupled"],
+    ],
+    ids=" ".join,
+)
+def test_what_is_not_new_is_not_looked_at(given):
+    """With slow and with prompt sensors, whose readings a link can lose."""
+    estimator = made(*given)
     rng = np.random.default_rng(0)
     state = {
         name: rng.normal(size=value.shape) for name, value in estimator.initial_state().items()
@@ -579,7 +590,8 @@ def test_what_is_not_new_is_not_looked_at():
     is_new = np.ones(2 * SIZE, dtype=bool)
     is_new[[3, 4, 5, SIZE + 3, SIZE + 4, SIZE + 5]] = False
     position = np.isin(np.arange(SIZE), (3, 4, 5))
-    given = {"q": np.eye(1, SIZE + 1)[0], "v_d": v_d, "applied_force": force}
+    rest = np.eye(1, SIZE + 1)[0]
+    given = {"q": rest, "q_d": rest, "v_d": v_d, "applied_force": force}
     results = [
         estimator.step(
             sampled(**given, e=e + error, e_dot=e_dot + error, is_new=new), np.eye(SIZE), state

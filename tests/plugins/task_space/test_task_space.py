@@ -300,6 +300,29 @@ def test_the_kalman_filter_of_a_frame():
     assert np.abs(np.diff(kalman, axis=0)).mean() < 0.5 * np.abs(np.diff(one_sample, axis=0)).mean()
 
 
+@pytest.mark.parametrize("missing", [0, 7, None])  # number of a coordinate
+def test_a_frame_is_new_if_all_coordinates_are(missing):
+    """A link that loses readings: its filter corrects the estimate of a frame with whole ones."""
+    scenario = scenario_of("controller=task_time_delay", "estimator.kind=kalman")
+    nominal = make_nominal_plant(scenario)
+    law = make_law(make_mission(scenario), nominal)
+    nv, seen = nominal.coordinates.num_velocities, []
+
+    class Watched(type(law.estimator)):
+        def step(self, sample, *others):
+            seen.append(sample.is_new)
+            return super().step(sample, *others)
+
+    gain = law.estimator.gain
+    law = dataclasses.replace(law, estimator=Watched(sample_time=0.01, gain=gain))
+    q, v, random = state_of(scenario)
+    is_new = np.array([True] * nv + [k != missing for k in range(nv)])
+    e, e_dot = random.normal(size=(2, v.size))
+    sample = Sample(q, v, q, v, v, e, e_dot, 0.0 * v, is_first=True, is_new=is_new)
+    law.step(sample, law.initial_state())
+    assert seen[0].tolist() == [True] * 6 + [missing is None] * 6
+
+
 LATE = ("sensing.delay=3", "sensing.position_period={base_position: 5}")
 
 
