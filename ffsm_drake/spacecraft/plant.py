@@ -24,7 +24,7 @@ from ffsm_drake.common.errors import ModelError, choices, one_line
 from ffsm_drake.common.files import check_regular
 from ffsm_drake.common.memo import memoized
 from ffsm_drake.common.so3 import rpy_of
-from ffsm_drake.scenario import Model, Posture, Scenario
+from ffsm_drake.scenario import Model, Posture
 from ffsm_drake.spacecraft.coordinates import (
     BASE_POSITION,
     BASE_ROTATION,
@@ -333,14 +333,6 @@ def _add_drives(plant: MultibodyPlant) -> None:
 def urdfs_of(model: Model) -> tuple[Path, ...]:
     """Return the URDFs among ``model_files``; errors as there."""
     return tuple(path for path in model_files(model) if path.suffix.lower() == ".urdf")
-
-
-def files_read(scenario: Scenario) -> tuple[Path, ...]:
-    """Return the files that a scenario's model and plan are read from; errors as
-    ``model_files``.
-    """
-    plan = scenario.reference.plan if scenario.reference.kind == "optimal" else None
-    return (*model_files(scenario.model), *(() if plan is None else (resolve_package(plan),)))
 
 
 # Parts of Drake's texts that help nobody: a second "error: ", and long explanations at the end.

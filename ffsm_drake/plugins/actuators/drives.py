@@ -159,7 +159,20 @@ class DriveSet:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class RateLimit(Sampled):
+class _OfRates:
+    """A block of drives that reads ``state`` [q; v] (nq + nv), of which the joints' rates act."""
+
+    drives: DriveSet
+    num_velocities: int
+
+    @property
+    def entries(self) -> Mapping[str, Sequence[int]]:
+        """See Sampled and Continuous."""
+        return {"state": [*range(2 * self.num_velocities + 1)][-len(self.drives.names) :]}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RateLimit(_OfRates, Sampled):
     """Limits the forces on joints to the drives' capability at the rates of the last control
     sample.
 
@@ -167,8 +180,6 @@ class RateLimit(Sampled):
     at control samples only.
     """
 
-    drives: DriveSet
-    num_velocities: int
     acts = True
 
     @property
@@ -186,11 +197,6 @@ class RateLimit(Sampled):
         """See Sampled."""
         return {"state": [0.0] * len(self.drives.names)}
 
-    @property
-    def entries(self) -> Mapping[str, Sequence[int]]:
-        """See Sampled: the joints' rates."""
-        return {"state": [*range(2 * self.num_velocities + 1)][-len(self.drives.names) :]}
-
     def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
         """See Sampled."""
         force, joints = inputs["force"].copy(), slice(NUM_BASE_VELOCITIES, None)
@@ -199,16 +205,13 @@ class RateLimit(Sampled):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class JointFriction(Continuous):
+class JointFriction(_OfRates, Continuous):
     """Friction as a continuous force on the plant, and its work.
 
     Input: ``state`` [q; v] of the plant. Outputs: ``friction_force`` (nv), N m or N, and
     ``friction_work`` (nv), its integral of force times rate since the start, J, which is integrated
     with the plant.
     """
-
-    drives: DriveSet
-    num_velocities: int
 
     @property
     def inputs(self) -> Mapping[str, int]:
@@ -219,11 +222,6 @@ class JointFriction(Continuous):
     def outputs(self) -> Mapping[str, int]:
         """See Continuous."""
         return dict.fromkeys((FRICTION_FORCE, FRICTION_WORK), self.num_velocities)
-
-    @property
-    def entries(self) -> Mapping[str, Sequence[int]]:
-        """See Continuous: the joints' rates."""
-        return {"state": [*range(2 * self.num_velocities + 1)][-len(self.drives.names) :]}
 
     def start(self, state: np.ndarray | None = None) -> Arrays:
         """See Continuous."""

@@ -9,16 +9,9 @@ import numpy as np
 from ffsm_drake.loop.blocks import TOLD
 from ffsm_drake.plugins.actuators.link_settings import Link
 from ffsm_drake.plugins.actuators.packets import STREAM
-from ffsm_drake.plugins.actuators.receiver import (
-    Receiver,
-    channel_of,
-    link_metrics,
-    link_sentence,
-)
+from ffsm_drake.plugins.actuators.receiver import LinkPart, Receiver, channel_of
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.parts.metrics import Figure, Metric
-from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.parts.signals import STEPS, Signal
 from ffsm_drake.systems.sampled import Arrays, Now
 from ffsm_drake.systems.setup import BlockSetup
@@ -95,19 +88,12 @@ def lossy_link(
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class CommandLink(Part):
+class CommandLink(LinkPart):
     """Signals and metrics of the link of a scenario."""
 
     title = "Link"
     section = "Actuators"
-    about = ""
-    settings: Link
-
-    @classmethod
-    def of(cls, scenario: Scenario) -> "CommandLink | None":
-        """See Part."""
-        settings = link_of(scenario)
-        return None if settings is None else cls(settings=settings)
+    effect, age, lost, carried = "link", AGE, LOST, "forces"
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """See Part."""
@@ -122,11 +108,3 @@ class CommandLink(Part):
                 meaning="whether the packet of this sample is lost",
             ),
         )  # fmt: skip
-
-    def metrics(self) -> Sequence[Metric]:
-        """Share of lost packets, and mean and largest age of the force that acts."""
-        return link_metrics("link", AGE, LOST)
-
-    def sentence(self, figures: Sequence[Figure]) -> str:
-        """See Part."""
-        return link_sentence("link", "link", "forces", figures)

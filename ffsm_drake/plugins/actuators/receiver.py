@@ -7,15 +7,17 @@ Drake and compiled runs have the same ones.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from ffsm_drake.plugins.actuators.link_settings import PacketLosses
 from ffsm_drake.plugins.actuators.packets import Channel, packets_of
+from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.faults import samples_of
 from ffsm_drake.systems.faults import FOREVER
 from ffsm_drake.systems.parts.metrics import Figure, Metric, by_key
+from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.sampled import Arrays, Sampled
 
 
@@ -92,26 +94,39 @@ def channel_of(
     )
 
 
-def link_metrics(section: str, age: str, lost: str) -> Sequence[Metric]:
-    """Share of lost packets, and mean and largest age of what is in use.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LinkPart(Part):
+    """Metrics of the link of a scenario."""
 
-    Args: first part of the keys; signals of the age, s, and of the loss.
-    """
+    about = ""
+    effect: ClassVar[str]  # its key in ``effects``, and the first part of the keys of its metrics
+    age: ClassVar[str]  # signal of the age of what is in use, s
+    lost: ClassVar[str]  # signal of the loss of the packet of a sample
+    carried: ClassVar[str]  # in words
+    settings: Any
 
-    def of(key: str, unit: str, calc: Any) -> Metric:
-        return Metric(key=f"{section}.{key}", unit=unit, of=calc)
+    @classmethod
+    def of(cls, scenario: Scenario) -> Self | None:
+        """See Part."""
+        settings = getattr(scenario.effects, cls.effect, None)
+        return None if settings is None else cls(settings=settings)
 
-    return (
-        of("lost", "1", lambda run: float(run[lost].mean())),
-        of("mean_age", "s", lambda run: float(run[age].mean())),
-        of("largest_age", "s", lambda run: float(run[age].max())),
-    )
+    def metrics(self) -> Sequence[Metric]:
+        """Share of lost packets, and mean and largest age of what is in use."""
 
+        def of(key: str, unit: str, calc: Any) -> Metric:
+            return Metric(key=f"{self.effect}.{key}", unit=unit, of=calc)
 
-def link_sentence(section: str, title: str, sent: str, figures: Sequence[Figure]) -> str:
-    """A line on a link; ``sent``: what it carries."""
-    found = by_key(figures)
-    return (
-        f"{title}: {100.0 * found[f'{section}.lost']:.3g} % of the packets lost, {sent} up to "
-        f"{found[f'{section}.largest_age']:.3g} s old"
-    )
+        return (
+            of("lost", "1", lambda run: float(run[self.lost].mean())),
+            of("mean_age", "s", lambda run: float(run[self.age].mean())),
+            of("largest_age", "s", lambda run: float(run[self.age].max())),
+        )
+
+    def sentence(self, figures: Sequence[Figure]) -> str:
+        """See Part."""
+        found = by_key(figures)
+        return (
+            f"{self.title.lower()}: {100.0 * found[f'{self.effect}.lost']:.3g} % of the packets "
+            f"lost, {self.carried} up to {found[f'{self.effect}.largest_age']:.3g} s old"
+        )

@@ -6,18 +6,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from ffsm_drake.plugins.actuators.link_settings import SensorLink
 from ffsm_drake.plugins.actuators.packets import STREAM, Channel, Packets, packets_of
-from ffsm_drake.plugins.actuators.receiver import (
-    Receiver,
-    channel_of,
-    link_metrics,
-    link_sentence,
-)
+from ffsm_drake.plugins.actuators.receiver import LinkPart, Receiver, channel_of
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
-from ffsm_drake.systems.parts.metrics import Figure, Metric
-from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.parts.signals import STEPS, Signal, View
 from ffsm_drake.systems.sampled import Arrays, Now
 from ffsm_drake.systems.sensing.block import IS_NEW
@@ -90,19 +82,12 @@ def _channel(scenario: Scenario) -> Channel:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class MeasurementLink(Part):
+class MeasurementLink(LinkPart):
     """The section ``effects.sensor_link``: a stage of sensing, with its signals and metrics."""
 
     title = "Sensor link"
     section = "Sensors"
-    about = ""
-    settings: SensorLink
-
-    @classmethod
-    def of(cls, scenario: Scenario) -> "MeasurementLink | None":
-        """See Part."""
-        settings = getattr(scenario.effects, "sensor_link", None)
-        return None if settings is None else cls(settings=settings)
+    effect, age, lost, carried = "sensor_link", AGE, LOST, "measurements"
 
     def build(self, setup: BlockSetup) -> LossyMeasurement:
         """The stage."""
@@ -131,11 +116,3 @@ class MeasurementLink(Part):
                 of=of(lambda packets, step: packets.lost),
             ),
         )  # fmt: skip
-
-    def metrics(self) -> Sequence[Metric]:
-        """Share of lost packets, and mean and largest age of the measurements."""
-        return link_metrics("sensor_link", AGE, LOST)
-
-    def sentence(self, figures: Sequence[Figure]) -> str:
-        """See Part."""
-        return link_sentence("sensor_link", "sensor link", "measurements", figures)

@@ -17,7 +17,7 @@ import dataclasses
 
 import numpy as np
 
-from ffsm_drake.plugins.baselines.powers import signed_power, slope
+from ffsm_drake.plugins.baselines.powers import check_powers, signed_power, slope
 from ffsm_drake.systems.controllers.law import State, gain
 from ffsm_drake.systems.controllers.time_delay import InjectedDynamics
 
@@ -47,10 +47,7 @@ class FixedTime(InjectedDynamics):
     )
 
     def __post_init__(self) -> None:
-        if not (np.all(self.power < 1.0) and np.all(self.far_power > 1.0)):
-            raise ValueError(
-                f"power must be below 1 and far_power above, not {self.power} and {self.far_power}"
-            )
+        check_powers(self.power, self.far_power)
 
     def initial_state(self) -> State:
         return {"sliding_variable": np.zeros_like(self.a_1)}

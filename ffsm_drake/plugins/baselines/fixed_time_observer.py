@@ -27,7 +27,7 @@ import dataclasses
 
 import numpy as np
 
-from ffsm_drake.plugins.baselines.powers import signed_power
+from ffsm_drake.plugins.baselines.powers import check_powers, signed_power
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample, State, gain
 from ffsm_drake.systems.controllers.time_delay import after_grasp
@@ -77,10 +77,7 @@ class FixedTimeObserver(ControlLaw):
     )
 
     def __post_init__(self) -> None:
-        if not (np.all(self.power < 1.0) and np.all(self.far_power > 1.0)):
-            raise ValueError(
-                f"power must be below 1 and far_power above, not {self.power} and {self.far_power}"
-            )
+        check_powers(self.power, self.far_power)
 
     def initial_state(self) -> State:
         zeros = np.zeros_like(self.k_p)

@@ -17,3 +17,9 @@ def slope(x: np.ndarray, power: float, width: np.ndarray | float) -> np.ndarray:
     """The derivative of ``signed_power`` with respect to x, (..., n)."""
     square = x * x + width * width
     return square ** (0.5 * (power - 3.0)) * (power * x * x + width * width)
+
+
+def check_powers(near: np.ndarray | float, far: np.ndarray | float) -> None:
+    """Raise ValueError unless the power of small errors is below 1, and the other above 1."""
+    if not (np.all(near < 1.0) and np.all(far > 1.0)):
+        raise ValueError(f"power must be below 1 and far_power above, not {near} and {far}")

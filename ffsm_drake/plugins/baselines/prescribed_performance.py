@@ -38,7 +38,6 @@ from ffsm_drake.systems.controllers.law import Sample, State, gain
 from ffsm_drake.systems.controllers.time_delay import (
     InjectedDynamics,
     TimeDelayControl,
-    time_delay_force,
 )
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -152,19 +151,10 @@ class CompensatedControl(TimeDelayControl):
         return {**state, "commanded_force": np.zeros_like(state["lost_velocity"])}
 
     def step(self, sample: Sample, state: State) -> tuple[np.ndarray, State]:
-        mass_matrix = self.model.calc_mass_matrix(sample.q)
-        estimate, estimator_state = self.estimator.step(sample, mass_matrix, state)
         lost = np.zeros_like(sample.v)
         if not sample.is_first:
             missing = sample.applied_force - state["commanded_force"]
             missing = np.where(self.model.coordinates.is_driven, missing, 0.0)
-            lost = np.linalg.solve(mass_matrix, missing)
-        own = {**state, "lost_acceleration": lost}
-        u, dynamics_state = self.dynamics.step(estimate.e, estimate.e_dot, sample.a_d, own)
-        force = time_delay_force(
-            delayed_force=estimate.base_force,
-            nominal_mass_matrix=mass_matrix,
-            delayed_acceleration=estimate.base_acceleration,
-            u=u,
-        )
-        return force, {**estimator_state, **dynamics_state, "commanded_force": force}
+            lost = np.linalg.solve(self.model.calc_mass_matrix(sample.q), missing)
+        force, memory = super().step(sample, {**state, "lost_acceleration": lost})
+        return force, {**memory, "commanded_force": force}

@@ -22,7 +22,7 @@ from ffsm_drake.runs.input_copies import InputCopies
 from ffsm_drake.runs.reading import INPUTS, digest_of
 from ffsm_drake.scenario import Scenario, policy_parts
 from ffsm_drake.scenario.fields import POLICY
-from ffsm_drake.spacecraft.plant import files_read, models_dir
+from ffsm_drake.spacecraft.plant import model_files, models_dir, resolve_package
 from ffsm_drake.systems.registry import module_file, module_folder
 
 _LARGEST = 500_000_000  # bytes of all copies
@@ -142,7 +142,10 @@ def _absolute(path: str | Path) -> Path:
 
 def _models_of(scenario: Scenario) -> list[Path]:
     """The files of a scenario's model and plan that the package does not ship."""
-    found = [_absolute(file) for file in files_read(scenario)]
+    reference = scenario.reference
+    found = [_absolute(file) for file in model_files(scenario.model)]
+    if reference.kind == "optimal" and reference.plan is not None:
+        found.append(_absolute(resolve_package(reference.plan)))
     for file in [each for each in found if each.suffix.lower() == ".xml"]:
         text = file.read_text(encoding="utf-8", errors="replace")
         for place in _FOLDERS.findall(text):  # of MuJoCo's compiler
