@@ -120,13 +120,13 @@ BLOCKS: dict[str, Ports] = {
             "desired_acceleration": VELOCITY,
             "generalized_force": VELOCITY,
         },
-        optional_inputs={ABORT: NUMBER},
+        optional_inputs={ABORT: NUMBER, "desired_frame": FRAME},
         outputs={
             "desired_state": STATE,
             "desired_acceleration": VELOCITY,
             "generalized_force": VELOCITY,
         },
-        optional_outputs={"restart": NUMBER},
+        optional_outputs={"restart": NUMBER, "desired_frame": FRAME},
     ),
     "actuation": Ports(
         inputs={"commanded_force": VELOCITY},

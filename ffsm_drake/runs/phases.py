@@ -27,7 +27,7 @@ from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import EMPTY, HELD, Grip, Scenario
 from ffsm_drake.scenario.contacts import closing_times
 from ffsm_drake.systems.planned_motion import PlannedMotion
-from ffsm_drake.systems.reference import AlongMotion
+from ffsm_drake.systems.reference import AlongMotion, make_frame_motion
 from ffsm_drake.systems.registry import Factory
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -333,7 +333,8 @@ class Course:
 
 def _along(motion: PlannedMotion, setup: BlockSetup) -> AlongMotion:
     """Return the reference of a motion."""
-    return AlongMotion(motion=motion)
+    frame = make_frame_motion(setup.mission, setup.nominal, motion)
+    return AlongMotion(motion=motion, frame=frame)
 
 
 def make_rollout(

@@ -50,8 +50,8 @@ class Approach:
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Check for whole samples, time left after the approach, every coordinate driven, no frame
-        and a rigid target.
+        """Check for whole samples, time left after the approach, every coordinate driven and a
+        rigid target.
         """
         for name, part in scenario.model.flexible.items():
             if part.kind not in ("joint", "gear") and part.body == scenario.payload.body:
@@ -62,8 +62,6 @@ class Approach:
                 )
         if scenario.undriven:
             yield key, "needs all coordinates driven; set actuation.driven: [all], or remove it"
-        if scenario.reference.frame is not None:
-            yield key, "is not compatible with reference.frame; set one of them to null"
         yield from sample_problems(self.duration, scenario.sample_time, f"{key}.duration")
         if scenario.grasp_time > scenario.duration - scenario.sample_time:
             yield (

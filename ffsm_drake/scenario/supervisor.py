@@ -67,5 +67,3 @@ class Supervisor:
         if self.damping * scenario.sample_time > _STEP:
             most = _STEP / scenario.sample_time
             yield f"{key}.damping", f"must be at most {most:g} 1/s at this sample_time"
-        if scenario.reference.frame is not None:
-            yield key, "is not compatible with reference.frame; set one of them to null"

@@ -187,8 +187,7 @@ class PlantModel:
     def calc_frame_motion(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, frame: Frame | str
     ) -> np.ndarray:
-        """Return a frame's pose, twist, acceleration (..., 19) for q, v, dv/dt, as the rows of
-        ``make_frame_path``.
+        """Return a frame's pose, twist, acceleration (..., 19) for q, v, dv/dt.
 
         [``calc_frame_pose``; w_WF; v_WF; alpha_WF; a_WF], world axes. Args and errors as
         ``calc_jacobian``.

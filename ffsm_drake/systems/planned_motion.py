@@ -1,7 +1,7 @@
 """A planned motion as a function of time."""
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -13,10 +13,25 @@ from ffsm_drake.spacecraft.nominal import PlantModel
 # control samples computed together: NumPy takes little longer for them than for one; fewer after a
 # jump, as those of a linearisation at an instant
 _BLOCK, _AFTER_JUMP = 256, 8
+# Rows (n, 19) of a frame, from rows of the coordinates.
+Moved = Callable[[np.ndarray], np.ndarray]
+
+
+class Path(Protocol):
+    """A curve that ends at rest."""
+
+    @property
+    def end(self) -> float:
+        """Time at which it comes to rest, s."""
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """Its rows (n, size) at times (n,), s."""
 
 
 class PlannedMotion(abc.ABC):
     """A planned motion as a function of time; a subclass gives ``rows``."""
+
+    path: Path | None = None  # of a frame that it moves
 
     def __init__(
         self, *, coordinates: Coordinates, sample_time: float, begin: float = 0.0, end: float
@@ -34,6 +49,10 @@ class PlannedMotion(abc.ABC):
     @abc.abstractmethod
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
+
+    def frame_rows(self, times: np.ndarray, moved: Moved) -> np.ndarray:
+        """Rows (n, 19) of a frame: of the path that this motion follows, or as it moves a frame."""
+        return moved(self.rows(times)) if self.path is None else self.path.rows(times)
 
     def remarks(self) -> list[str]:
         """Deviations of the motion from its specification, a line each."""
@@ -82,19 +101,8 @@ class PlannedMotion(abc.ABC):
         return self._rows[sample - self._first_sample]
 
 
-class Path(Protocol):
-    """A curve that ends at rest."""
-
-    @property
-    def end(self) -> float:
-        """Time at which it comes to rest, s."""
-
-    def rows(self, times: np.ndarray) -> np.ndarray:
-        """Its rows (n, size) at times (n,), s."""
-
-
 class PathMotion(PlannedMotion):
-    """The motion along a path; the path of a frame has the rows of that."""
+    """The motion along a path."""
 
     def __init__(self, path: Path, *, coordinates: Coordinates, sample_time: float) -> None:
         """Args: the path; names of the generalized velocities; the control period, s."""
@@ -122,10 +130,19 @@ class InTurn(PlannedMotion):
 
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
+        return self._in_turn(times, lambda motion, own: motion.rows(own))
+
+    def frame_rows(self, times: np.ndarray, moved: Moved) -> np.ndarray:
+        """See PlannedMotion."""
+        return self._in_turn(times, lambda motion, own: motion.frame_rows(own, moved))
+
+    def _in_turn(
+        self, times: np.ndarray, of: Callable[[PlannedMotion, np.ndarray], np.ndarray]
+    ) -> np.ndarray:
         (first, motion), *later = self._motions
-        rows = motion.rows(times - first)
+        rows = of(motion, times - first)
         for begin, motion in later:
-            rows = np.where((times > begin - 1e-9)[:, None], motion.rows(times - begin), rows)
+            rows = np.where((times > begin - 1e-9)[:, None], of(motion, times - begin), rows)
         return rows
 
     def remarks(self) -> list[str]:

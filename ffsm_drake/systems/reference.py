@@ -27,7 +27,7 @@ from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.blend import Blend, make_impulses
 from ffsm_drake.systems.continuous import Continuous
 from ffsm_drake.systems.duration import shortest_duration
-from ffsm_drake.systems.frame_path import FRAME_SIZE, make_frame_path
+from ffsm_drake.systems.frame_path import FRAME_SIZE, goal_frame
 from ffsm_drake.systems.grasping import GRASPINGS
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.parts.signals import UNIT, Signal, state_signals
@@ -174,7 +174,7 @@ class AlongMotion(Continuous):
     """The reference of a motion, a function of time only, and of a frame whose pose is prescribed.
 
     Outputs: ``desired_state`` [q_d; v_d] (nq + nv); ``desired_acceleration``, the time derivative
-    of v_d (nv); ``desired_frame``, rows of ``make_frame_path`` (19), with a frame.
+    of v_d (nv); ``desired_frame``, a row of ``FrameMotion`` (19), with a frame.
     """
 
     motion: PlannedMotion
@@ -205,13 +205,34 @@ class AlongMotion(Continuous):
 
 def make_frame_motion(
     mission: Mission, nominal: PlantModel, motion: PlannedMotion
-) -> PlannedMotion | None:
-    """Return the path of the frame whose pose is prescribed along a planned motion, if one is."""
-    if not prescribes_frame(mission.scenario):
-        return None
-    path = make_frame_path(mission, nominal, duration=motion.end - motion.begin)
-    period = mission.scenario.sample_time
-    return PathMotion(path, coordinates=motion.coordinates, sample_time=period)
+) -> "FrameMotion | None":
+    """Return the motion of the frame whose pose is prescribed, along a planned motion; None: no
+    pose is.
+    """
+    return FrameMotion(motion, mission, nominal) if prescribes_frame(mission.scenario) else None
+
+
+class FrameMotion(PlannedMotion):
+    """The desired motion of a frame: along its path, and without a path as the coordinates move it.
+
+    Rows: see ``PlantModel.calc_frame_motion``.
+    """
+
+    def __init__(self, motion: PlannedMotion, mission: Mission, nominal: PlantModel) -> None:
+        self._motion, self._nominal = motion, nominal
+        self._frame = goal_frame(mission.scenario, nominal.plant)
+        period = mission.scenario.sample_time
+        super().__init__(coordinates=motion.coordinates, sample_time=period, end=motion.end)
+
+    def rows(self, times: np.ndarray) -> np.ndarray:
+        """Rows (n, 19) at times (n,)."""
+        return self._motion.frame_rows(times, self.moved)
+
+    def moved(self, rows: np.ndarray) -> np.ndarray:
+        """Rows (n, 19) of the frame as the rows (n, nq + 2 nv) of a motion move it."""
+        nq, nv = self.coordinates.num_positions, self.coordinates.num_velocities
+        q, v, a = np.split(rows, [nq, nq + nv], axis=-1)
+        return self._nominal.calc_frame_motion(q, v, a, self._frame)
 
 
 def prescribes_frame(scenario: Scenario) -> bool:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
+from pydrake.multibody.tree import Frame
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.registrations import Registry
@@ -13,19 +14,23 @@ from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.approach import approach_posture
 from ffsm_drake.plugins.capture.postures import posture_of
 from ffsm_drake.scenario import Reference
-from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.spacecraft.limits import FORCE
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.blend import Blend
-from ffsm_drake.systems.mission_limits import actuation_limit
+from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.polynomial_motion import PolynomialMotion
-from ffsm_drake.systems.reference import followed, make_motion
+from ffsm_drake.systems.reference import (
+    followed,
+    make_frame_motion,
+)
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 from ffsm_drake.systems.setup import BlockSetup
 
 _SHORTEST, _GROWTH, _LONGEST = 5.0, 1.15, 600.0  # s, of a new plan
 _LEAST_ROOM = 0.1  # of a limit, for damping beside the force between hands
+# of a plan in rate damping: its place in the memory
+_HELD = {"desired_state": "held", "desired_frame": "held_frame"}
 _INSTANTS = 41  # number of instants of a plan at which its force is compared with the limits
 
 
@@ -107,6 +112,7 @@ class Supervising(Sampled):
     is_empty: bool  # the gripper
     closed: float  # s, see ``Grip``
     internal: Any  # the force between the hands, see ``SupervisedChain.kept``
+    frame: Frame | None  # whose pose is prescribed
     in_phase: ClassVar = ("grasp_time", "end", "is_empty", "closed")
     optional: ClassVar = ("abort_request",)
 
@@ -126,6 +132,7 @@ class Supervising(Sampled):
             "mode": 1, "mode_cause": 1, "restart": 1, "force": nv, "held": 2 * nv + 1,
             "plan": 2 * nv + 5, "asks": 1,
             **({} if self.internal is None else {"internal_force": nv}),
+            **({} if self.frame is None else {"held_frame": FRAME_SIZE}),
         }  # fmt: skip
 
     def start(self, state: np.ndarray | None = None) -> Arrays:
@@ -202,6 +209,9 @@ class Supervising(Sampled):
         }  # fmt: skip
         if self.internal is not None:
             after |= self._kept((q, mass_matrix), (clipped, command), memory, after["restart"])
+        if self.frame is not None:
+            moved = self.model.calc_frame_motion(q, v, np.zeros_like(v), self.frame)
+            after["held_frame"] = np.where(damps, moved, memory["held_frame"])
         asks = (flees | is_over) & (memory["answer"] == 0.0)
         after = {name: after[name] for name in memory}
         outputs = {name: after[name] for name in self.outputs if name != "asks"}
@@ -225,15 +235,15 @@ class Supervising(Sampled):
         return {"wrenches": wrenches, "internal_force": force, "forgot": memory["restart"]}
 
     @staticmethod
-    def follow(
-        memory: Arrays, desired: np.ndarray, acceleration: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def follow(memory: Arrays, plan: Arrays) -> Arrays:
         """Return what the law follows in place of a plan: in rate damping the state last measured.
 
-        Args: the memory before a sample, and the plan then.
+        Args: the memory before a sample, and the plan then: outputs of a reference.
         """
         damps = memory["mode"] == float(Mode.RATE_DAMPING)
-        return np.where(damps, memory["held"], desired), np.where(damps, 0.0, acceleration)
+        held = {name: memory[own] for name, own in _HELD.items() if own in memory}
+        held["desired_acceleration"] = np.zeros(1)
+        return {name: np.where(damps, held[name], each) for name, each in plan.items()}
 
     @staticmethod
     def give(memory: Arrays, force: np.ndarray) -> np.ndarray:
@@ -268,57 +278,6 @@ class Supervising(Sampled):
             "over": np.where(was_damping, over, longer),
             "asked": np.where(was_damping, asked, asks),
         }
-
-
-def supervising(setup: BlockSetup, *, begin: float, waits: bool) -> Supervising:
-    """The mode logic of a phase, without the force between hands. Raises ScenarioError: no force
-    has a limit.
-    """
-    scenario, coordinates, settings = setup.scenario, setup.coordinates, setup.scenario.supervisor
-    assert settings is not None
-    largest, limit = (
-        np.where(
-            coordinates.is_driven,
-            actuation_limit(scenario, coordinates, helped=helped).upper,
-            np.inf,
-        )
-        for helped in (True, False)
-    )
-    if not np.isfinite(limit).any():
-        raise ScenarioError(
-            "supervisor",
-            "cannot detect saturation, because no force has a limit; set actuation.limit, "
-            "actuation.thrusters or actuation.wheels",
-        )
-    error, rate = (
-        np.where(
-            coordinates.is_driven,
-            coordinates.vector(given or {}, key=f"supervisor.{name}", default=np.inf),
-            np.inf,
-        )
-        for name, given in (("error", settings.error), ("rate", settings.rate))
-    )
-    rest = scenario.planned_end  # of the scenario's own motion, s
-    return Supervising(
-        model=driven_model(setup.nominal),
-        largest=largest,
-        limit=limit,
-        error=error,
-        rate=rate,
-        is_bounded=bool(np.isfinite([error, rate]).any()),
-        waits=waits,
-        saturated_time=np.array(settings.saturated_time),
-        damping=settings.damping * coordinates.is_driven,
-        share=np.array(min(1.0, setup.sample_time / settings.filter_time)),
-        end_share=np.array(settings.end_share),
-        end_time=np.array(settings.end_time),
-        sample_time=setup.sample_time,
-        grasp_time=begin + scenario.grasp_time,
-        end=begin + (make_motion(setup.mission, setup.grip).end if rest is None else rest),
-        is_empty=not setup.grip.holds,
-        closed=setup.grip.closed or 0.0,
-        internal=None,
-    )
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -388,6 +347,12 @@ class Supervisor(Sampled):
         if self.chain is None:
             return followed(self.mission, self.nominal, motion)
         return self.chain.follow(motion, float(plan[0]) - self.block.grasp_time, float(plan[3]))
+
+    def motions(self, plan: np.ndarray) -> list[PlannedMotion]:
+        """``motion``, and the motion of a frame whose pose is prescribed."""
+        motion = self.motion(plan)
+        frame = make_frame_motion(self.mission, self.nominal, motion)
+        return [motion] if frame is None else [motion, frame]
 
     def end(self, memory: Arrays) -> float:
         """The time (s) at which a new plan ends; 0: there is none; infinite: rates are damped."""

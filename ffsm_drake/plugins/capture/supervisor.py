@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import Context
 
+from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.plugins.capture.modes import (
     SUPERVISED_CHAINS,
     Cause,
@@ -28,14 +29,17 @@ from ffsm_drake.plugins.capture.modes import (
     SupervisedChain,
     Supervising,
     Supervisor,
-    supervising,
 )
 from ffsm_drake.scenario import Scenario
+from ffsm_drake.spacecraft.free_floating import driven_model
 from ffsm_drake.systems.continuous import Continuous, InstantSystem
+from ffsm_drake.systems.frame_path import goal_frame
+from ffsm_drake.systems.mission_limits import actuation_limit
 from ffsm_drake.systems.parts.metrics import Figure, Metric
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.parts.signals import STEPS, Signal, Signals, View
 from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.reference import make_motion, prescribes_frame
 from ffsm_drake.systems.sampled import Arrays, SampledSystem
 from ffsm_drake.systems.setup import BlockSetup, CompositeBlock
 
@@ -84,7 +88,7 @@ class SupervisorPart(Part):
 
     def supervisor(self, setup: BlockSetup) -> "Supervisor":
         """Return what the block does. Raises ScenarioError: no force has a limit."""
-        block = supervising(setup, begin=self._begin, waits=self._waits)
+        block = _mode_logic(setup, begin=self._begin, waits=self._waits)
         chain: SupervisedChain | None = None
         if len(setup.scenario.contacts) > 1:
             chain = SUPERVISED_CHAINS.load("contacts", "contacts")(setup)
@@ -156,6 +160,58 @@ class SupervisorPart(Part):
         return f"Supervisor: {', '.join(named)}"
 
 
+def _mode_logic(setup: BlockSetup, *, begin: float, waits: bool) -> Supervising:
+    """The mode logic of a phase, without the force between hands. Raises ScenarioError: no force
+    has a limit.
+    """
+    scenario, coordinates, settings = setup.scenario, setup.coordinates, setup.scenario.supervisor
+    assert settings is not None
+    largest, limit = (
+        np.where(
+            coordinates.is_driven,
+            actuation_limit(scenario, coordinates, helped=helped).upper,
+            np.inf,
+        )
+        for helped in (True, False)
+    )
+    if not np.isfinite(limit).any():
+        raise ScenarioError(
+            "supervisor",
+            "cannot detect saturation, because no force has a limit; set actuation.limit, "
+            "actuation.thrusters or actuation.wheels",
+        )
+    error, rate = (
+        np.where(
+            coordinates.is_driven,
+            coordinates.vector(given or {}, key=f"supervisor.{name}", default=np.inf),
+            np.inf,
+        )
+        for name, given in (("error", settings.error), ("rate", settings.rate))
+    )
+    rest = scenario.planned_end  # of the scenario's own motion, s
+    return Supervising(
+        model=driven_model(setup.nominal),
+        largest=largest,
+        limit=limit,
+        error=error,
+        rate=rate,
+        is_bounded=bool(np.isfinite([error, rate]).any()),
+        waits=waits,
+        saturated_time=np.array(settings.saturated_time),
+        damping=settings.damping * coordinates.is_driven,
+        share=np.array(min(1.0, setup.sample_time / settings.filter_time)),
+        end_share=np.array(settings.end_share),
+        end_time=np.array(settings.end_time),
+        sample_time=setup.sample_time,
+        grasp_time=begin + scenario.grasp_time,
+        end=begin + (make_motion(setup.mission, setup.grip).end if rest is None else rest),
+        is_empty=not setup.grip.holds,
+        closed=setup.grip.closed or 0.0,
+        internal=None,
+        frame=goal_frame(scenario, setup.nominal.plant) if prescribes_frame(scenario) else None,
+    )
+
+
 def _events(run: View) -> Iterator[tuple[float, Mode]]:
     """Begin (s) of each mode of a run."""
     modes = np.asarray(run["mode"]).astype(int).ravel()
@@ -194,38 +250,42 @@ class _Plan(Continuous):
     """The plan that the law follows, or what replaces it."""
 
     supervisor: Supervisor
-    # a cache: the motions of new plans, by their rows
-    motions: dict[bytes, PlannedMotion] = dataclasses.field(default_factory=dict)
+    # a cache: the motions of new plans and of their frames, by their rows
+    motions: dict[bytes, list[PlannedMotion]] = dataclasses.field(default_factory=dict)
 
     @property
     def inputs(self) -> Mapping[str, int]:
         """See Continuous."""
         sizes = self.supervisor.outputs
-        read = {name: sizes[name] for name in ("mode", "held", "plan")}
-        return {**self.outputs, **read, "time": 1}
+        read = ("mode", "held", "held_frame", "plan")
+        return {
+            **self.outputs, **{name: sizes[name] for name in read if name in sizes}, "time": 1
+        }  # fmt: skip
 
     @property
     def outputs(self) -> Mapping[str, int]:
         """See Continuous."""
         sizes = self.supervisor.outputs
-        return {"desired_state": sizes["held"], "desired_acceleration": sizes["force"]}
+        framed = {"desired_frame": sizes["held_frame"]} if "held_frame" in sizes else {}
+        return {"desired_state": sizes["held"], "desired_acceleration": sizes["force"], **framed}
 
     def flow(self, inputs: Arrays, state: Arrays) -> tuple[Arrays, Arrays]:
         """See Continuous; in rate damping the state last measured."""
-        plan, given = inputs["plan"], [inputs[name] for name in self.outputs]
+        plan, given = inputs["plan"], {name: inputs[name] for name in self.outputs}
         if plan[1] > 0.0:
-            given = self._along(plan, inputs["time"].item())
-        followed = Supervising.follow(inputs, *given)
-        return dict(zip(self.outputs, followed, strict=True)), {}
+            given = dict(zip(given, self._along(plan, inputs["time"].item()), strict=True))
+        return Supervising.follow(inputs, given), {}
 
-    def _along(self, plan: np.ndarray, time: float) -> list[np.ndarray]:
-        """[q_d; v_d] and a_d of a new plan."""
+    def _along(self, plan: np.ndarray, time: float) -> Iterator[np.ndarray]:
+        """[q_d; v_d] and a_d of a new plan, and the row of its frame."""
         key, since, step = plan.tobytes(), time - plan[0], self.supervisor.block.sample_time
         if key not in self.motions:
-            self.motions[key] = self.supervisor.motion(plan)
+            self.motions[key] = self.supervisor.motions(plan)
         sample = round(since / step) * step
-        row = self.motions[key].row(sample if abs(sample - since) < 1e-9 else since)
-        return np.split(row, [len(plan) - 4])
+        own, *frame = (
+            each.row(sample if abs(sample - since) < 1e-9 else since) for each in self.motions[key]
+        )
+        yield from (*np.split(own, [len(plan) - 4]), *frame)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -21,11 +21,12 @@ from ffsm_drake.plugins.capture.target_filter import Estimate, Path, TargetFilte
 from ffsm_drake.scenario import Capture, Scenario
 from ffsm_drake.scenario.target_sensing import Measured, TargetTracker
 from ffsm_drake.spacecraft.orbit import Orbit
+from ffsm_drake.systems.frame_path import FRAME_SIZE
 from ffsm_drake.systems.parts.metrics import Metric
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.parts.signals import STEPS, Signal, View
 from ffsm_drake.systems.planned_motion import PlannedMotion
-from ffsm_drake.systems.reference import make_motion
+from ffsm_drake.systems.reference import FrameMotion, make_frame_motion, make_motion
 from ffsm_drake.systems.sampled import Arrays, Now, Sampled
 from ffsm_drake.systems.setup import BlockSetup
 
@@ -76,7 +77,8 @@ class TrackedTarget(Part):
     def build(self, setup: BlockSetup) -> Any:
         """The block, whose Drake system is made around it."""
         own = self.motion or make_motion(setup.mission, setup.grip)
-        return TrackedReference(part=self, motion=own)
+        frame = make_frame_motion(setup.mission, setup.nominal, own)
+        return TrackedReference(part=self, motion=own, frame=frame)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """The estimate at the last image, its errors and their deviations."""
@@ -175,6 +177,7 @@ class TrackedReference(Sampled):
     traced: ClassVar = False
     part: TrackedTarget
     motion: PlannedMotion  # which is displaced
+    frame: FrameMotion | None  # whose pose is prescribed
 
     @functools.cached_property
     def _filter(self) -> TargetFilter:
@@ -191,6 +194,7 @@ class TrackedReference(Sampled):
         """See Sampled."""
         nq, nv = len(self.motion.coordinates.position_names), len(self.motion.coordinates.names)
         own = {"desired_state": nq + nv, "desired_acceleration": nv}
+        own |= {} if self.frame is None else {"desired_frame": FRAME_SIZE}
         return {**own, **_SIZES, "abort_request": 1}
 
     def start(self, state: np.ndarray | None = None) -> Arrays:
@@ -207,11 +211,14 @@ class TrackedReference(Sampled):
     def step(self, inputs: Arrays, memory: Arrays, now: Now) -> tuple[Arrays, Arrays]:
         """See Sampled."""
         row, nx = self.motion.row(now.time), self.outputs["desired_state"]
+        of_frame = None if self.frame is None else self.frame.row(now.time)
         if self.part.approached is not None:
             c = _displacement(memory["plan"], now.time)
             if c.any():
                 row = displaced(row, c, nx - self.outputs["desired_acceleration"])
+                of_frame = None if self.frame is None else self.frame.moved(row)
         outputs = {"desired_state": row[:nx], "desired_acceleration": row[nx:]}
+        outputs |= {} if of_frame is None else {"desired_frame": of_frame}
         shown = np.split(memory["shown"], np.cumsum([*_SIZES.values()])[:-1])
         outputs |= dict(zip(_SIZES, shown, strict=True))
         return outputs | {"abort_request": memory["abort"]}, {**memory, **self._seen(memory, now)}

@@ -275,7 +275,11 @@ class Blocks(Structure):
         """What a sample makes, and room for a step of the integrator."""
         nx, nv, states = self.nq + self.nv, self.nv, self.states
         stages, forces = range(len(SCHEMES[self.scheme].times)), len(self.external)
-        watching = {} if self.watch is None else {"mode": 2, "asks": 1, "followed": nx + nv}
+        watching = (
+            {}
+            if self.watch is None
+            else {"mode": 2, "asks": 1, "followed": sum(self.desired.values())}
+        )
         watching |= {"given": nv} if watching else {}
         return {
             "is_new": nx if self.calls and self.tells_new else 0,
@@ -303,6 +307,12 @@ class Blocks(Structure):
             "planned": self.num_planned,
             "request": 0 if self.watch is None else 1,
         }
+
+    @property
+    def desired(self) -> dict[str, int]:
+        """Sizes of the outputs of a reference."""
+        framed = {"desired_frame": FRAME_SIZE} if self.framed else {}
+        return {"desired_state": self.nq + self.nv, "desired_acceleration": self.nv, **framed}
 
     @property
     def _detector_sizes(self) -> dict[str, int]:
@@ -333,10 +343,8 @@ class Blocks(Structure):
     @property
     def law_inputs(self) -> Places:
         """Cells that a law reads after a call, or that is called."""
-        nx, nv = self.nq + self.nv, self.nv
-        plan = "reference" if self.watch is None else "followed"
-        desired = {"desired_state": nx, "desired_acceleration": nv}
-        made = self._whole(_READ | _IS_NEW) | laid(plan, desired)
+        made = laid("reference", self.desired) | self._whole(_READ | _IS_NEW)
+        made |= {} if self.watch is None else laid("followed", self.desired)
         made |= laid("shown_last", self.shown_last)
         wanted = LawBlock(self.law, self.coordinates).inputs
         return {name: place for name, place in made.items() if name in wanted}
@@ -360,8 +368,7 @@ class Blocks(Structure):
             made |= laid("each_force", dict.fromkeys(names, self.nv))
         if self.watch is not None:
             made |= laid("mode", {"mode": 1, "mode_cause": 1})
-            desired = {"desired_state": self.nq + self.nv, "desired_acceleration": self.nv}
-            made |= laid("followed", desired) | laid("given", {"generalized_force": self.nv})
+            made |= laid("followed", self.desired) | laid("given", {"generalized_force": self.nv})
         return made
 
 

@@ -278,14 +278,16 @@ class Case:
             "phases": phases_at(self.parts, self.samples)[self.window],
             "request": np.zeros((len(times), int(watches))),
         }
+        if (path := make_frame_motion(self.mission, self.nominal, self.motion)) is not None:
+            made["frame"] = path.rows(times)
         if self.made.reference is not None:
             followed = self.made.reference.rows
             plan = [followed[name] for name in ("desired_state", "desired_acceleration")]
             made["reference"] = np.hstack(plan)
             if watches and "abort_request" in followed:
                 made["request"] = followed["abort_request"]
-        if (path := make_frame_motion(self.mission, self.nominal, self.motion)) is not None:
-            made["frame"] = path.rows(times)
+            if "desired_frame" in followed:
+                made["frame"] = followed["desired_frame"]
         return self._whole(made)
 
     def _whole(self, of_phase: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -105,7 +105,8 @@ class Plans:
         supervisor, law = self._supervisors[lane], self._laws[lane]
         step, block = supervisor.block.sample_time, supervisor.block
         since = first - round(plan[0] / step) + np.arange(len(rows["reference"]))
-        rows["reference"][:] = supervisor.motion(plan).rows(step * since)
+        for name, motion in zip(("reference", "frame"), supervisor.motions(plan), strict=False):
+            rows[name][:] = motion.rows(step * since)
         modes = np.transpose(block.modes(plan[0] + step * since, plan))
         rows["phases"][:, -modes.shape[1] :] = modes
         if "planned" in rows:

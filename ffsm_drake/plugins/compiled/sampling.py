@@ -69,10 +69,13 @@ class Sampling(Forces):
         for placed, stage in self.sampled("sensing"):
             outputs = self.step(placed, stage, signals, now)
             signals |= outputs | {"state": outputs["estimated_state"]}
-        plan = cells.reference[:nx], cells.reference[nx:]
-        if of.watch is not None:
-            plan = of.watch.follow(self.remembered(cells.watched), *plan)
-        signals["desired_state"], signals["desired_acceleration"] = plan
+        plan = {
+            "desired_state": cells.reference[:nx], "desired_acceleration": cells.reference[nx:],
+            **({"desired_frame": cells.frame} if of.framed else {}),
+        }  # fmt: skip
+        signals |= (
+            plan if of.watch is None else of.watch.follow(self.remembered(cells.watched), plan)
+        )
         return signals, {
             "known": known,
             "hidden": hidden,
@@ -89,8 +92,6 @@ class Sampling(Forces):
         law = with_symbols(of.law, cells.law, cells.planned, traced_model)
         block = LawBlock(law, of.coordinates, errors=tracking_errors)
         signals = {**signals, "applied_force": cells.applied}
-        if of.framed:
-            signals["desired_frame"] = cells.frame
         inputs = {name: signals[name] for name in block.inputs if signals.get(name) is not None}
         memory, _ = parted(cells.memory, of.memory)
         if of.watch is not None and now.is_first:
@@ -152,7 +153,7 @@ class Sampling(Forces):
             asks = np.where((asks == 0.0) & goes_on, 2.0, asks)
         return {
             "mode": joined([found["mode"], found["mode_cause"]]), "asks": asks,
-            "followed": joined([signals["desired_state"], signals["desired_acceleration"]]),
+            "followed": joined([signals[name] for name in of.desired]),
             "watched_after": after,
             # the call of a detector writes it
             **({} if of.detector is None else {"requested_after": cells.requested}),

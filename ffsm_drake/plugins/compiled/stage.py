@@ -66,7 +66,9 @@ class LaneStage(Stage):
         if (made := self.run.case.made.supervisor) is not None:
             plan, period = self.memory("supervisor")["plan"], made.block.sample_time
             if plan[1] > 0.0:
-                row = made.motion(plan).row((self.begin.sample - round(plan[0] / period)) * period)
+                row = made.motions(plan)[0].row(
+                    (self.begin.sample - round(plan[0] / period)) * period
+                )
         return row[: -len(self.coordinates.names)]
 
     @property

@@ -26,9 +26,7 @@ class Watch(Protocol):
     def modes(self, times: np.ndarray, plan: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return its phases at times (s) along a new plan (or zeros)."""
 
-    def follow(
-        self, memory: Arrays, desired: np.ndarray, acceleration: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def follow(self, memory: Arrays, plan: Arrays) -> Arrays:
         """Return the plan that the law follows. Args: memory before a sample; its plan."""
 
     def give(self, memory: Arrays, force: np.ndarray) -> np.ndarray:
@@ -49,8 +47,10 @@ class Supervisor(Protocol):
     def answered(self, memory: Arrays, state: np.ndarray, time: float) -> dict[str, np.ndarray]:
         """Return the memory before a sample that asks, with a plan from its measured state."""
 
-    def motion(self, plan: np.ndarray) -> PlannedMotion:
-        """Return the motion of a plan, by the time since its begin."""
+    def motions(self, plan: np.ndarray) -> list[PlannedMotion]:
+        """Return the motion of a plan, by the time since its begin, and the motion of a frame if
+        one is prescribed.
+        """
 
 
 @runtime_checkable

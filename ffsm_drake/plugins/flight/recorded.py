@@ -15,7 +15,6 @@ from ffsm_drake.runs.simulate import simulate
 from ffsm_drake.scenario import HELD, Scenario
 from ffsm_drake.systems.controllers import controller_factory
 from ffsm_drake.systems.controllers.law import Sample, State, WrappedLaw
-from ffsm_drake.systems.reference import make_frame_motion, make_motion
 from ffsm_drake.systems.registry import call_factory
 from ffsm_drake.systems.sampled import Now
 from ffsm_drake.systems.sensing.block import IS_NEW, measurement_of
@@ -73,9 +72,7 @@ def _of_log(log: RunLog, law: FlightLaw, optional: list[str]) -> Recorded:
     if IS_NEW in optional:
         given.append(_is_new(scenario, law, count))
     if "desired_frame" in optional:
-        motion = make_motion(law.mission, law.grip)
-        path: Any = make_frame_motion(law.mission, law.nominal, motion)
-        given.append(path.rows(log.time))
+        given.append(series["desired_frame"])
     if "measured_wrench" in optional:
         given.append(series["contact_wrench"])
     grasp = count if log.grasp is None else log.grasp.sample

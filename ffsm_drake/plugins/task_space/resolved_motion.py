@@ -100,7 +100,8 @@ class ResolvedMotion(MomentumMotion):
         frame: the frame.
         model, sample_time: see ``MomentumMotion``.
         """
-        self._wanted, self._path, self._goal, self._frame = wanted, path, goal, frame
+        self._wanted, self._goal, self._frame = wanted, goal, frame
+        self._path = self.path = path
         coordinates, names = model.coordinates, wanted.coordinates.names
         # the model's coordinates in v of the motion; a closed chain has fewer
         self._places = np.array([names.index(name) for name in coordinates.names])

@@ -29,7 +29,7 @@ class ClosedMotion(PlannedMotion):
             begin=motion.begin,
             end=motion.end,
         )
-        self._motion = motion
+        self._motion, self.path = motion, motion.path
         self._loads = Loads(mission.scenario, nominal, {0.0: 0.0})
         self._chain = chain = ClosedChain(nominal, mission.scenario, true=False)
         followers = chain.followers(motion.evaluate(0.0)[0])

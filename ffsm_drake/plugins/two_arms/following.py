@@ -53,7 +53,7 @@ class Following(PlannedMotion):
 
         Raises ScenarioError: a hand does not reach its place, or an arm is singular.
         """
-        self._motion, scenario = motion, mission.scenario
+        self._motion, self.path, scenario = motion, motion.path, mission.scenario
         period, closings = scenario.sample_time, closing_times(scenario)
         super().__init__(coordinates=motion.coordinates, sample_time=period, end=motion.end)
         nq, nv = self.coordinates.num_positions, self.coordinates.num_velocities

@@ -12,7 +12,7 @@ from ffsm_drake.plugins.two_arms.chain import ClosedChain, joints_to
 from ffsm_drake.plugins.two_arms.chain_model import ChainModel, model_at
 from ffsm_drake.plugins.two_arms.closed_motion import ClosedMotion
 from ffsm_drake.plugins.two_arms.following import Following, span
-from ffsm_drake.scenario.contacts import ALL_HANDS
+from ffsm_drake.scenario.contacts import ALL_HANDS, Grip
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.frame_path import goal_frame
@@ -22,16 +22,24 @@ from ffsm_drake.systems.reference import FOLLOWERS
 _KEY = "reference.frame"
 
 
-def framed_motion(motion: PlannedMotion, mission: Mission, nominal: PlantModel) -> PlannedMotion:
+def framed_motion(
+    motion: PlannedMotion,
+    mission: Mission,
+    nominal: PlantModel,
+    *,
+    since: float = 0.0,
+    closed: float | None = None,
+) -> PlannedMotion:
     """The motion of a chain with a frame on its path.
 
-    Args: the motion without frame and chain; its mission; the plant with the nominal payload.
+    Args: the motion without frame and chain; its mission; the plant with the nominal payload; see
+      ``Following``.
 
     Raises ScenarioError: the frame is on an arm that follows, a hand does not reach its place, or
     an arm is singular.
     """
     scenario, plant = mission.scenario, nominal.plant
-    held = ClosedChain(nominal, scenario, true=False)
+    held = ClosedChain(nominal, scenario, Grip(closed=closed or 0.0), true=False)
     hands = ClosedChain(nominal, scenario, ALL_HANDS, true=False).loops
     own = joints_to(plant, goal_frame(scenario, plant))
     for loop in hands:
@@ -44,17 +52,18 @@ def framed_motion(motion: PlannedMotion, mission: Mission, nominal: PlantModel) 
         problem = "with reference.frame needs a base with actuators, because the arm moves the base"
         raise ScenarioError(f"contacts.{late}.closes", f"{problem} and the base moves its place")
     first = motion.evaluate(0.0)[0]
-    closed, model = held.closed(first), nominal
+    posture, model = held.closed(first), nominal
     if held.loops:
-        model = model_at(scenario, held, closed)
-    period, moved = scenario.sample_time, closed - first
+        model = model_at(scenario, held, posture)
+    period, moved = scenario.sample_time, posture - first
     made = FOLLOWERS.load(_KEY, _KEY)(_Moved(motion, moved, period), mission, model)
     if isinstance(model, ChainModel):
         made = _OfTree(made, model, nominal.coordinates, period)
-    if not is_late:
+    if not is_late and closed is None:
         return ClosedMotion(made, mission, nominal)
-    found = Following(made, mission, nominal, since=0.0)
-    found.begin, found.end = span(scenario, nominal.grip, made.end)
+    found = Following(made, mission, nominal, since=since, closed=closed)
+    if closed is None:
+        found.begin, found.end = span(scenario, nominal.grip, made.end)
     return found
 
 
@@ -78,7 +87,8 @@ class _OfTree(PlannedMotion):
     def __init__(
         self, motion: PlannedMotion, model: ChainModel, coordinates: Coordinates, period: float
     ) -> None:
-        self._motion, self._free = motion, np.arange(len(coordinates.names))[model.free]
+        self._motion, self.path = motion, motion.path
+        self._free = np.arange(len(coordinates.names))[model.free]
         super().__init__(coordinates=coordinates, sample_time=period, end=motion.end)
 
     def rows(self, times: np.ndarray) -> np.ndarray:

@@ -20,6 +20,7 @@ import numpy as np
 
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Constraints
 from ffsm_drake.plugins.two_arms.following import Following
+from ffsm_drake.plugins.two_arms.framed import framed_motion
 from ffsm_drake.plugins.two_arms.internal import force_limits, squared_limits
 from ffsm_drake.scenario.contacts import ALL_HANDS, closing_contacts
 from ffsm_drake.systems.planned_motion import PlannedMotion
@@ -96,4 +97,6 @@ class SupervisedChain:
         Raises ScenarioError: a hand does not reach its place, or an arm is singular.
         """
         setup = self._setup
-        return Following(motion, setup.mission, setup.nominal, since=since, closed=closed)
+        is_framed = setup.scenario.reference.frame is not None
+        follow = framed_motion if is_framed else Following
+        return follow(motion, setup.mission, setup.nominal, since=since, closed=closed)

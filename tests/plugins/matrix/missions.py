@@ -51,13 +51,11 @@ REFUSED = {
             for driven in _UNDRIVEN
             if (actuators, driven) != ("wheels", "base rotation and joints")
         ),
-        *(({"start": start, "motion": "frame"}, ("approach", "frame")) for start in _APPROACHES),
         *(
             ({"start": start, "driven": driven}, ("approach", "driven"))
             for start in _APPROACHES
             for driven in _UNDRIVEN
         ),
-        ({"supervisor": "supervisor", "motion": "frame"}, ("supervisor", "reference.frame")),
         ({"law": "task-space law", "command": "design"}, ("task_time_delay", "gains are designed")),
         ({"motion": "frame", "command": "plan"}, ("reference.frame", "plan")),
         *(

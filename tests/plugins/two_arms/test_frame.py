@@ -3,11 +3,26 @@
 import numpy as np
 import pytest
 from compared_runs import check
+from numpy.testing import assert_allclose
 from test_free_base import AWAY, STILL
 
-from ffsm_drake import Scenario, ScenarioError, load_scenario, make_nominal_plant, simulate
+from ffsm_drake import (
+    Scenario,
+    ScenarioError,
+    load_scenario,
+    make_nominal_plant,
+    override_scenario,
+    simulate,
+)
 from ffsm_drake.mission import Mission
+from ffsm_drake.plugins.capture.supervisor import SupervisorPart
+from ffsm_drake.plugins.two_arms.chain import ClosedChain
+from ffsm_drake.scenario import HELD, WHOLE, Grip
+from ffsm_drake.scenario.contacts import ALL_HANDS
+from ffsm_drake.spacecraft.coordinates import position_error
+from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.reference import make_frame_motion, make_motion
+from ffsm_drake.systems.setup import BlockSetup
 
 FRAMES = ("debris::debris", "servicer::left_hand")
 TASKS = ("pose", "position", "attitude")
@@ -96,3 +111,116 @@ def test_refusals_are_one_line(overrides: list[str], words: str) -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_compiled_runs_are_those_of_drake(seed: int) -> None:
     check([drawn(seed, duration=1.5), drawn(seed + 12, duration=1.5)])
+
+
+OPEN = {"left_1": 1.5, "left_2": 1.5, "left_4": 0.1, "right_1": 1.4, "right_2": 1.5, "right_4": 0.1}
+
+
+def caught(seed: int, *overrides: object) -> Scenario:
+    """A drawn frame of a tumbling target, after an approach with both hands open."""
+    generator = np.random.default_rng(seed)
+    posture = {"base_position": generator.uniform(-0.1, 0.1, 3).tolist(), "joints": OPEN}
+    given = {
+        "capture": {
+            "rate": generator.uniform(-0.03, 0.03, 3).tolist(),
+            "servicer": ("rest", "track_all")[seed % 2],
+            "approach": {"duration": 3.0, "posture": posture},
+        },
+        "actuation": {"driven": ["all"]},
+        "reference": {"duration": 4.0},
+        "duration": 9.0,
+    }
+    return override_scenario(drawn(seed), [given, *overrides])
+
+
+SUPERVISED = (
+    {"joints": 40, "base_position": 20, "base_rotation": 20},
+    {"reference": {"duration": 4.0}, "supervisor": {}},
+)
+
+
+def same(found: np.ndarray, wanted: np.ndarray, *, within: float) -> None:
+    """Rows of a frame with equal poses and twists."""
+    assert_allclose(position_error(found[:7], wanted[:7]), 0.0, atol=within)
+    assert_allclose(found[7:13], wanted[7:13], atol=within)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_frame_goes_on_from_where_an_approach_has_brought_it(seed: int) -> None:
+    """Both hands bring it there, and its path begins with their velocity after the grasp."""
+    scenario = caught(seed)
+    mission = Mission(scenario)
+    motion, model = make_motion(mission), mission.craft.nominal()
+    path = make_frame_motion(mission, model, motion)
+    assert path is not None
+    frame, grasp = scenario.reference.frame.frame, scenario.grasp_time
+    for time in (0.0, 0.5 * grasp, grasp - 1e-7, grasp):
+        actual = model.calc_frame_motion(*motion.evaluate(time), frame)
+        same(path.rows(np.array([time]))[0], actual, within=1e-9)
+    ends = path.rows(np.array([grasp - 1e-7, grasp]))
+    assert_allclose(position_error(ends[0, :7], ends[1, :7]), 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_new_plan_takes_the_frame_from_its_measured_pose(seed: int) -> None:
+    """Both hands carry it, or the first one while the second comes to its place."""
+    generator = np.random.default_rng(seed)
+    limits, supervised = SUPERVISED
+    base = drawn(seed)
+    driven = {name: limits[name] for name in base.actuation.driven}
+    scenario = override_scenario(base, [supervised, {"actuation": {"limit": driven}}])
+    mission = Mission(scenario)
+    model, is_late = mission.craft.nominal(), seed % 4 == 3
+    setup = BlockSetup(name="", mission=mission, nominal=model, settings={})
+    supervisor = SupervisorPart().supervisor(setup)
+    whole = ClosedChain(model, scenario, ALL_HANDS, true=False)
+    q = configuration(model.coordinates, scenario.initial_posture, key="initial_posture")
+    q = q if is_late else whole.closed(q)
+    q[7:] += generator.uniform(-5e-3, 5e-3, q.size - 7)
+    v, duration = generator.uniform(-5e-3, 5e-3, q.size - 1), generator.uniform(3.0, 8.0)
+    motion, path = supervisor.motions(np.concatenate([[0.5, duration, 0.0, 0.0], q, v]))
+    frame, task = scenario.reference.frame.frame, TASKS[seed % 3]
+    same(path.rows(np.zeros(1))[0], model.calc_frame_motion(q, v, 0 * v, frame), within=1e-9)
+    rows = {"pose": slice(7), "position": slice(4, 7), "attitude": slice(4)}[task]
+    for time in generator.uniform(0.1, duration, 4):
+        place, rate, _ = motion.evaluate(np.array([time]))
+        actual, wanted = model.calc_frame_pose(place[0], frame), path.rows(np.array([time]))[0]
+        off = np.abs(np.abs(actual[rows]) - np.abs(wanted[rows])).max()
+        assert off < 1e-6
+        if not is_late:
+            assert np.abs(whole.gap(place[0])).max() < 1e-9
+            assert np.abs(whole.jacobian(place[0]) @ rate[0]).max() < 1e-6
+    assert not path.rows(np.array([duration]))[0, 7:].any()
+
+
+@pytest.mark.parametrize("closes", [1.0, 2.0])
+def test_each_phase_of_a_later_hand_has_the_path_of_the_whole_motion(closes: float) -> None:
+    scenario = override_scenario(drawn(3), [f"contacts.right.closes={closes}"])
+    mission = Mission(scenario)
+    times = np.linspace(0.0, scenario.reference.duration, 7)
+    paths = []
+    for grip in (WHOLE, HELD, Grip(closed=closes)):
+        made = make_frame_motion(mission, mission.craft.nominal(grip), make_motion(mission, grip))
+        assert made is not None
+        paths.append(made.rows(times))
+    assert_allclose(paths[1], paths[0], atol=1e-12)
+    assert_allclose(paths[2], paths[0], atol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
+def test_captures_and_supervised_missions_settle(seed: int) -> None:
+    """With an approach or with a supervisor that damps, on Drake and compiled alike."""
+    supervised = {
+        "supervisor": {"saturated_time": 0.05},
+        "actuation": {"limit": {"joints": 40, "base_position": 8, "base_rotation": 8}},
+        "capture": {"approach": None, "rate": [0.06, 0.05, 0.06]},
+        "duration": 25.0,
+    }
+    runs = check([caught(seed, *([supervised] if seed % 2 else []))])
+    for run in runs:
+        assert run.outcome.status == "completed"
+        assert run.metrics["contacts"]["gap"] < 1e-9
+        assert max(run.metrics["frame"]["final"].values()) < 2e-3
+        if seed % 2:
+            assert run.metrics["supervisor"]["dampings"] > 0
