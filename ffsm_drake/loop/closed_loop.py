@@ -92,6 +92,7 @@ class ClosedLoop(OfMission):
     sources: Mapping[str, tuple[System, str]]
     parts: Parts = dataclasses.field(default_factory=dict)  # parts among ``blocks``
     grip: Grip = HELD  # what holds the target
+    joint_force: np.ndarray | None = None  # see ``add_closed_loop``
     diagram: Any = None  # the Diagram, after ``make_closed_loop``; its outputs are the signals
 
     @property
@@ -196,8 +197,13 @@ class ClosedLoop(OfMission):
                 continue
             other, context = before.blocks[name], block.GetMyMutableContextFromRoot(root_context)
             then, is_afresh = other.GetMyContextFromRoot(context_before), name in afresh
-            if isinstance(block, SampledController) and (is_afresh or reference is not None):
-                block.resume(context, other, then, None if is_afresh else reference)
+            if isinstance(block, SampledController) and is_afresh:
+                force = other.state(then, "generalized_force")
+                if before.joint_force is not None:
+                    force[NUM_BASE_VELOCITIES:] = before.joint_force
+                block.begin(context, force)
+            elif isinstance(block, SampledController) and reference is not None:
+                block.resume(context, other, then, reference)
             elif not is_afresh:
                 context.SetStateAndParametersFrom(then)
 
@@ -251,7 +257,13 @@ def add_closed_loop(
     wiring = _Wiring(builder, plant, mission, made)
     wiring.connect(parts, joint_force)
     return ClosedLoop(
-        parts=parts, mission=mission, plant=plant, blocks=made, sources=wiring.sources, grip=grip
+        parts=parts,
+        mission=mission,
+        plant=plant,
+        blocks=made,
+        sources=wiring.sources,
+        grip=grip,
+        joint_force=joint_force,
     )
 
 

@@ -128,12 +128,16 @@ class SampledController(LeafSystem):
         }[name]
         return np.array(context.get_discrete_state(index).value())
 
+    def begin(self, context: Context, force: np.ndarray) -> None:
+        """Let a force (nv) act, with the law at its start."""
+        context.SetDiscreteState(self._force, force)
+
     def resume(
         self,
         context: Context,
         before: "SampledController",
         context_before: Context,
-        reference: np.ndarray | None,
+        reference: np.ndarray,
     ) -> None:
         """Take over from another controller; the next sample is a first one, as velocities jump.
 
@@ -141,11 +145,9 @@ class SampledController(LeafSystem):
           context: this controller's context.
           before: the other controller, with the same law for another payload.
           context_before: the other controller's context.
-          reference: [q_d; v_d] (nq + nv) at that instant; None: its law begins anew.
+          reference: [q_d; v_d] (nq + nv) at that instant.
         """
-        context.SetDiscreteState(self._force, before.state(context_before, "generalized_force"))
-        if reference is None:
-            return
+        self.begin(context, before.state(context_before, "generalized_force"))
         memory = {
             name: before.state(context_before, name).reshape(shape)
             for name, shape in before._shapes.items()
