@@ -68,6 +68,7 @@ class Situation:
 
     sample: int = 0  # the first of the next phase
     stage: Any = None  # Stage of the last phase, at its end
+    phase: Phase = Phase()  # the last one
     logs: tuple[RunLog, ...] = ()  # of the phases
     names: tuple[tuple[str, int], ...] = ()  # phases with an end, and the sample after it
     failed: Outcome | None = None  # outcome of a run that failed between two phases
@@ -111,7 +112,7 @@ class PhaseKind:
 class Stop(PhaseKind):
     """The motion with the target held."""
 
-    until: int | None = None  # sample at which it ends; None: the end of the run
+    until: int | None = None  # samples after the grasp; None: the end of the run
     then: str = ""  # outcome there
 
     def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
@@ -294,6 +295,7 @@ class Course:
         now = dataclasses.replace(
             self._now,
             sample=ends[-1][1] if ends else self._now.sample,
+            phase=phase,
             logs=(*self._now.logs, log),
             names=(*self._now.names, *ends),
         )

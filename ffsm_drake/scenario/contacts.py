@@ -37,7 +37,8 @@ class Contact:
         0.0,
         "s",
         "time at which the hand grasps, after the start of the run or the grasp, a whole number of "
-        "control samples; 0: with the first hand",
+        "control samples; with capture.closing, its jaws begin to close then; 0: with the first "
+        "hand",
         least=0,
     )
     stabilization: float = setting(
@@ -160,8 +161,6 @@ def _contact_problems(scenario: Any) -> Problems:
         return
     yield from _of_hands(scenario)
     yield from _of_late_hands(scenario)
-    if scenario.closing and len(scenario.contacts) > 1:
-        yield "capture.closing", "is not supported with more than one contact; remove it"
 
 
 def _of_hands(scenario: Any) -> Problems:
@@ -202,8 +201,9 @@ def _of_late_hands(scenario: Any) -> Problems:
         yield from sample_problems(contact.closes, scenario.sample_time, key)
         if contact.effector == scenario.model.end_effector:
             yield key, "must be 0, because the model welds this hand"
-        if scenario.grasp_time + contact.closes > scenario.duration - scenario.sample_time:
-            yield key, f"must be within the duration of the run, {scenario.duration:g} s"
+        lasts = scenario.closing.duration if scenario.closing else 0.0  # of its jaws
+        if scenario.grasp_time + contact.closes + lasts > scenario.duration - scenario.sample_time:
+            yield key, f"must leave time to grasp before the run ends at {scenario.duration:g} s"
     for key, problem, change in (
         ("blocks.reference", scenario.blocks.reference, "remove it"),
         ("blocks.forces.contacts", "contacts" in scenario.blocks.forces, "rename it"),

@@ -23,10 +23,11 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.common.choice import may_be, repeated
-from ffsm_drake.scenario.capture import Closing, Compliance
+from ffsm_drake.scenario.capture import Closing, Compliance, Envelope
 
 _ROUNDS = 50  # iterations of the search for the slip of a step
 _LEAST = 1e-6  # N m, N; of a limit
+_SAME = 1e-10  # share of the largest force, change of forces that are found
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -123,6 +124,83 @@ class Jaws:
         force, size = found["forces"][:6], found["slip"]
         slid = slid - size * yields * force / (K + D / step)
         return force + found["forces"][6] * palm, slid
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Met:
+    """A target at an instant, and how it lies in a gripper."""
+
+    motion: np.ndarray  # (13) [quaternion, p_WP; w_WP, v_WP] of the target's frame, world axes
+    offset: np.ndarray  # (6) of the target's grasp frame from the gripper, gripper axes
+    rate: np.ndarray  # (6) of the offset
+    p_WE: np.ndarray  # (3) place of the gripper, m
+    R_WE: np.ndarray  # (3, 3) its attitude
+    left: Any  # s; when it was beyond the envelope, infinite if it is not
+
+    @property
+    def motion_in(self) -> list[float]:
+        """Speeds of the target in the gripper: rad/s, m/s."""
+        sizes: list[float] = np.linalg.norm(self.rate.reshape(2, 3), axis=1).tolist()
+        return sizes
+
+    def beyond(self, envelope: Envelope) -> str:
+        """The part of the miss beyond an envelope; empty: the gripper holds."""
+        angle, distance = np.linalg.norm(self.offset.reshape(2, 3), axis=1).tolist()
+        rate, speed = self.motion_in
+        return envelope.beyond(
+            position=distance, angle=angle, velocity=speed, angular_velocity=rate
+        )
+
+
+def together(
+    jaws: Jaws, time: Any, step: Any, hands: Mapping[str, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Forces (n, 6) on one target and slips (n, 6) of n grippers that act at once; see ``act``.
+
+    Each force follows from the others in turn, until none changes. Every turn lowers one convex
+    function of all forces, so the turns converge.
+
+    Args:
+      jaws: of each gripper.
+      time, step: s.
+      hands: ``start``, ``offset``, ``rate``, ``slid`` (n, 6); a first guess of ``force`` (n, 6);
+        ``stays`` (n), zero for a gripper without force; ``mobility`` (6 n, 6 n) of all.
+    """
+    fixed = {**vars(jaws), "at": np.stack([time, step]), **hands}
+    state = {
+        "goes": hands["stays"][0] * 0.0 + 1.0,
+        "force": fixed.pop("force"),
+        "slid": hands["slid"],
+    }
+    if len(state["slid"]) == 1:
+        found = _turn(state, fixed)
+    else:
+        found = repeated(_turn, state, fixed, most=_ROUNDS)
+    return found["force"], found["slid"]
+
+
+def _turn(state: Mapping[str, Any], fixed: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The forces and slips after each gripper has acted on the motion under those of the others."""
+    jaws = Jaws(**{each.name: fixed[each.name] for each in dataclasses.fields(Jaws)})
+    (time, step), mobility = fixed["at"], fixed["mobility"]
+    forces, slips = [*state["force"]], [*fixed["slid"]]
+    for k in range(len(forces)):
+        own, rate = slice(6 * k, 6 * k + 6), fixed["rate"][k]
+        for j, other in enumerate(forces):
+            if j != k:
+                rate = rate + step * (mobility[own, 6 * j : 6 * j + 6] @ other)
+        given = {name: fixed[name][k] for name in ("start", "offset", "slid")}
+        force, slid = jaws.act(time, step, rate=rate, mobility=mobility[own, own], **given)
+        stays = fixed["stays"][k] != 0.0
+        forces[k] = np.where(stays, force, 0.0)
+        slips[k] = np.where(stays, slid, slips[k])
+    made, before = np.stack(forces), state["force"]
+    change = abs(made - before).max()
+    return {
+        "goes": np.where(change > _SAME * np.maximum(abs(made).max(), _LEAST), 1.0, 0.0),
+        "force": made,
+        "slid": np.stack(slips),
+    }
 
 
 _ALONE = np.array([0.0] * 6 + [1.0])  # equation of a palm without force

@@ -77,6 +77,8 @@ class MadeGrasp(GraspLog):
     offset: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros(6))
     # (6) of the target from the hand, at its origin: angular velocity, velocity
     mismatch: np.ndarray
+    # X_QP of the target from where the model welds it; None: it is there
+    lies: RigidTransform | None = None
     # (3) momentum stored in the actuators, N m s; the grasp does not change it
     stored: np.ndarray | None = None
 
@@ -195,6 +197,7 @@ class Meeting:
             target=path,
             offset=self.offset,
             mismatch=self.mismatch,
+            lies=self.lies,
         )
 
 

@@ -9,9 +9,11 @@ import dataclasses
 import functools
 import itertools
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame
 
@@ -90,6 +92,19 @@ class Constraints:
     def gap(self, q: Any) -> Any:
         """The gaps (m)."""
         return _stacked(q[:0], [each.gap(self.model, q) for each in self.closures])
+
+    def moved(self, body: Frame, lies: RigidTransform | None) -> Self:
+        """Return the loops on a target whose frame lies at X_QP from the frame ``body`` of the
+        model. None: it is there.
+        """
+        closures = list[Closure]()
+        for each in self.closures if lies is not None else ():
+            X_QG = each.grasp.CalcPose(self.model.context, body)
+            X_GE = RigidTransform(Quaternion(each.held[:4]), each.held[4:])
+            found = X_QG.inverse() @ lies @ X_QG @ X_GE
+            held = np.array([*found.rotation().ToQuaternion().wxyz(), *found.translation()])
+            closures.append(dataclasses.replace(each, held=held))
+        return dataclasses.replace(self, closures=tuple(closures)) if closures else self
 
     def least_wrench(self, q: Any, force: Any, weight: np.ndarray) -> Any:
         """F (m) with the least sum of weight (tau + A' F)^2 over the velocities.

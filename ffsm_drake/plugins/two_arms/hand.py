@@ -16,9 +16,13 @@ plan ends.
 import dataclasses
 import functools
 import math
+from typing import Any
 
 import numpy as np
+from pydrake.math import RigidTransform
+from pydrake.multibody.tree import Frame
 
+from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Constraints
 from ffsm_drake.plugins.two_arms.constraint_solve import solved
@@ -40,6 +44,9 @@ from ffsm_drake.scenario.capture import Envelope
 from ffsm_drake.scenario.contacts import ALL_HANDS, Grip, closing_contacts, closing_times
 from ffsm_drake.spacecraft.coordinates import halves
 from ffsm_drake.spacecraft.grasp import plastic_impact
+from ffsm_drake.spacecraft.nominal import PlantModel
+from ffsm_drake.spacecraft.plant import find_body
+from ffsm_drake.systems.registry import section_kind
 
 _SUPERVISOR = "supervisor"
 _BLOCK, _FORCE, _OTHER = "forces.contacts", "force_contacts", "force_disturbance"
@@ -49,7 +56,7 @@ def phases_of_later_hands(mission: Mission, before: Phases) -> Phases:
     """Return the phases of a mission, and one from each closing of a late hand to the next."""
     scenario = mission.scenario
     first, *times = closing_times(scenario)
-    ends = [round((scenario.grasp_time + time) / scenario.sample_time) for time in times]
+    ends = [round(time / scenario.sample_time) for time in times]
     kinds = {
         name: dataclasses.replace(kind, until=ends[0], then=_outcome(times[0]))
         if isinstance(kind, Stop)
@@ -77,24 +84,41 @@ class Hand(Stop):
         """See PhaseKind."""
         scenario, grip = self.mission.scenario, Grip(closed=self.time)
         at = f"t = {now.sample * scenario.sample_time:g} s"
-        if now.sample >= scenario.num_control_periods:
-            return None, now.failing(MISSED, f"the hand of {self._name} is still open at {at}")
-        if (due := self._due(now)) > now.sample:
-            return self._open(f"{self._name} waits", due), now
         envelope = Envelope() if scenario.capture is None else scenario.capture.envelope
-        missed = beyond(self.mission, now.stage.state, grip, envelope)
+        if now.names[-1][0] == self._closes:
+            memory, time = now.stage.memory(GRIPPER), now.sample * scenario.sample_time
+            gripper, settings = now.stage.block(GRIPPER), scenario.closing
+            status, how = gripper.lost(memory, time, now.stage.state, settings)
+            missed = how and f"at {at} the target {how}"
+        elif now.sample >= scenario.num_control_periods:
+            return None, now.failing(MISSED, f"the hand of {self._name} is still open at {at}")
+        elif (due := self._due(now)) > now.sample:
+            return self._open(now, f"{self._name} waits", due), now
+        else:
+            lies = self._lies(now)
+            status, how = MISSED, beyond(self.mission, now.stage.state, grip, envelope, lies)
+            missed = how and f"the hand of {self._name} misses its place at {at}: {how}"
+            if not missed and (closing := scenario.closing) is not None:
+                end = now.sample + round(closing.duration / scenario.sample_time)
+                return self._open(now, self._closes, end), now
         if not missed:
-            until = None if self.until is None else max(self.until, now.sample + 1)
-            return Phase(names=(("stop", until),), grip=grip, afresh=(_BLOCK,)), now
+            return self._next(now, "stop", self.end(now), grip=grip, afresh=(_BLOCK,)), now
         tries = 1 + sum(name == self._again for name, _ in now.names)
         if scenario.supervisor is not None and tries < scenario.supervisor.tries:
-            return self._open(self._again, now.sample + self._shortest(now)), now
-        missed = f"the hand of {self._name} misses its place at {at}: {missed}"
-        return None, now.failing(MISSED, missed if tries == 1 else f"{missed}, in try {tries}")
+            return self._open(now, self._again, now.sample + self._shortest(now)), now
+        return None, now.failing(status, missed if tries == 1 else f"{missed}, in try {tries}")
+
+    def end(self, now: Situation) -> int | None:
+        """See Stop; at least one sample later."""
+        if self.until is None:
+            return None
+        grasp = 0 if now.made is None else now.made.sample
+        end = max(grasp + self.until, now.sample + 1)
+        return min(end, self.mission.scenario.num_control_periods)
 
     def judge(self, now: Situation) -> tuple[str, Situation]:
         """Whether the hand has closed."""
-        is_open = now.names[-1][0] in (self._again, f"{self._name} waits")
+        is_open = now.names[-1][0] in (self._again, f"{self._name} waits", self._closes)
         return (_outcome(self.time) if is_open else self.then), now
 
     def enter(self, now: Situation, phase: Phase, stage: Stage) -> Situation:
@@ -108,6 +132,7 @@ class Hand(Stop):
         work = series[LOSS][-1].item() if LOSS in series else 0.0
         flow = stage.block(_BLOCK).with_payload(payload)
         time = now.sample * self.mission.scenario.sample_time
+        flow = flow.moved(_target(self.mission, flow.model), self._lies(now))
         flow, state = closed(flow, now.stage.state, work=work, time=time)
         stage.exchange(_BLOCK, flow)
         stage.place(state)
@@ -119,10 +144,21 @@ class Hand(Stop):
         contacts = self.mission.scenario.contacts.items()
         return next(f"contacts.{name}" for name, each in contacts if each.closes == self.time)
 
+    @staticmethod
+    def _lies(now: Situation) -> RigidTransform | None:
+        """X_QP of the target that the first hand has met, see ``Constraints.moved``."""
+        found: RigidTransform | None = getattr(now.made, "lies", None)
+        return found
+
     @property
     def _again(self) -> str:
         """The name of the phases after a miss."""
         return f"{self._name} again"
+
+    @property
+    def _closes(self) -> str:
+        """The name of the phases in which its jaws close."""
+        return f"{self._name} closes"
 
     def _due(self, now: Situation) -> int:
         """The sample at which the hand closes, as far as is known."""
@@ -139,16 +175,33 @@ class Hand(Stop):
         shortest: float = now.stage.block(_SUPERVISOR).shortest
         return samples_to(shortest, self.mission.scenario.sample_time)
 
-    def _open(self, name: str, until: int) -> Phase:
+    def _next(self, now: Situation, name: str, until: int | None, **changes: Any) -> Phase:
+        """A phase with the plan and the blocks of the last one, but for a gripper that closed."""
+        blocks = {block: made for block, made in now.phase.blocks.items() if block != GRIPPER}
+        if name == self._closes:
+            part: Any = section_kind(GRIPPER)
+            blocks[GRIPPER] = part.closing(self.mission.scenario, self.time)
+        return dataclasses.replace(now.phase, names=((name, until),), blocks=blocks, **changes)
+
+    def _open(self, now: Situation, name: str, until: int) -> Phase:
         """A phase with the hand open, up to a sample or the end of the run."""
         until = min(until, self.mission.scenario.num_control_periods)
-        return Phase(names=((name, until),), grip=Grip(closed=self.before))
+        return self._next(now, name, until, grip=Grip(closed=self.before), afresh=(GRIPPER,))
 
     def _enter_open(self, now: Situation, phase: Phase, stage: Stage) -> Situation:
         """The situation in an open phase; after a miss, the supervisor plans anew."""
         if closing_contacts(self.mission.scenario, phase.grip):
             stage.exchange(_BLOCK, now.stage.block(_BLOCK))
         now = super().enter(now, phase, stage)
+        if phase.names[0][0] == self._closes:
+            scenario = self.mission.scenario
+            memory = stage.block(GRIPPER).begun(
+                time=now.sample * scenario.sample_time,
+                payload=scenario.payload.truth,
+                state=stage.state,
+                lies=self._lies(now),
+            )
+            stage.remember(GRIPPER, memory)
         if phase.names[0][0] == self._again:
             supervisor = stage.block(_SUPERVISOR)
             stage.remember(_SUPERVISOR, supervisor.missed(stage.memory(_SUPERVISOR)))
@@ -204,17 +257,28 @@ def _impact(
     return v + inverse @ impulses, impulses[: len(rows)]
 
 
-def beyond(mission: Mission, state: np.ndarray, grip: Grip, envelope: Envelope) -> str:
-    """See ``ClosedChains``."""
+def beyond(
+    mission: Mission,
+    state: np.ndarray,
+    grip: Grip,
+    envelope: Envelope,
+    lies: RigidTransform | None = None,
+) -> str:
+    """See ``ClosedChains``; ``lies``: see ``Constraints.moved``."""
     model = mission.craft.flexible(grip)
     chain = ClosedChain(model, mission.scenario, grip, true=True)
     if not chain.loops:
         return ""
-    miss = _miss(chain.constraints, state)
+    miss = _miss(chain.constraints.moved(_target(mission, model), lies), state)
     return envelope.beyond(
         position=miss["distance"], angle=miss["angle"], velocity=miss["speed"],
         angular_velocity=miss["rate"],
     )  # fmt: skip
+
+
+def _target(mission: Mission, model: PlantModel) -> Frame:
+    """The frame of the target's body."""
+    return find_body(model.plant, mission.scenario.payload.body, key="payload.body").body_frame()
 
 
 def _miss(hands: Constraints, state: np.ndarray) -> dict[str, float]:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.free_body import Target
 from ffsm_drake.plugins.capture.grasping import Aim, Meeting, target_at
@@ -200,10 +201,15 @@ def met(now: Situation) -> tuple[str, Situation]:
     chase: Chase = now.own
     if since := given_up(now):
         return failed(now, MISSED, f"is not met: {since}")
-    target = target_at(chase.path[now.sample])
-    meeting = Meeting.of(chase.scenario, target, now.stage)
-    if beyond := meeting.beyond(chase.capture.envelope):
+    motion, stage, envelope = chase.path[now.sample], now.stage, chase.capture.envelope
+    if beyond := Meeting.of(chase.scenario, target_at(motion), stage).beyond(envelope):
         return failed(now, MISSED, f"is missed: {beyond}")
+    block = stage.block(GRIPPER)
+    payload = chase.scenario.payload.truth
+    memory = block.begun(time=0.0, payload=payload, state=stage.state, target=motion)
+    for name, each in block.met(memory, 0.0, stage.state).items():
+        if chase.scenario.contacts and (beyond := each.beyond(envelope)):
+            return failed(now, MISSED, f"is missed by contacts.{name}: {beyond}")
     return "met", now
 
 

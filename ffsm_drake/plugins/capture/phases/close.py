@@ -1,21 +1,20 @@
 """The gripper closes on the target (``capture.closing``)."""
 
 import dataclasses
-import math
 
 import numpy as np
 
-from ffsm_drake.common.numbers import number
 from ffsm_drake.loop.blocks import GRIPPER
+from ffsm_drake.plugins.capture.closing import MOTION
 from ffsm_drake.plugins.capture.contact import coast
-from ffsm_drake.plugins.capture.gripper import MOTION, Gripper, Met
+from ffsm_drake.plugins.capture.contact_force import Met
+from ffsm_drake.plugins.capture.gripper import Gripper
 from ffsm_drake.plugins.capture.phases.chase import Chase, failed, phase_of, replaced
-from ffsm_drake.runs.ending import BOUNCED, SLIPPED
 from ffsm_drake.runs.log import RunLog
 from ffsm_drake.runs.phases import Phase, PhaseKind, Situation
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import Scenario
-from ffsm_drake.scenario.capture import Closing, Compliance
+from ffsm_drake.scenario.capture import Closing
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 
 _LATELY = 20  # samples before the contact, over which the joints' force is averaged
@@ -30,7 +29,7 @@ class Close(PhaseKind):
     def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
         """See PhaseKind."""
         chase: Chase = now.own
-        part = Gripper(chase.capture.compliance or Compliance())
+        part = Gripper.closing(chase.scenario, 0.0)
         phase = phase_of(
             now,
             (chase.numbered("closing"), now.sample + chase.closing),
@@ -57,21 +56,15 @@ class Close(PhaseKind):
         """Whether the gripper holds the target."""
         chase: Chase = now.own
         stage, period = now.stage, chase.scenario.sample_time
-        met: Met = stage.block(GRIPPER).met(stage.memory(GRIPPER), now.sample * period, stage.state)
+        block = stage.block(GRIPPER)
+        closed = stage.memory(GRIPPER), now.sample * period, stage.state
+        met: Met = next(iter(block.met(*closed).values()))
         onward = free_motion(chase.scenario, met.motion, now.sample)
         motions = now.logs[-1].series[MOTION]
         first = now.sample - len(motions)
         now = replaced(now, path=np.vstack([chase.path[:first], motions, onward]))
-        turning, moving = np.linalg.norm(met.rate.reshape(2, 3), axis=1).tolist()
-        if math.isinf(met.left) and max(turning, moving) <= self.settings.rest:
-            return "held", now
-        away = float(np.linalg.norm(met.offset[3:]))
-        status = SLIPPED
-        if met.left < first * period + self.settings.time:
-            status = BOUNCED
-        how = "bounces off the gripper" if status == BOUNCED else "slips out of the gripper"
-        motion = f"{number(moving)} m/s and {number(turning)} rad/s"
-        return failed(now, status, f"{how}: {number(away)} m away, moving at {motion} from it")
+        status, how = block.lost(*closed, self.settings)
+        return failed(now, status, how) if status else ("held", now)
 
 
 def free_motion(scenario: Scenario, motion: np.ndarray, sample: int) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ffsm_drake.mission import Mission
-from ffsm_drake.plugins.capture.approach import force_share, given_approach
+from ffsm_drake.plugins.capture.approach import given_approach
 from ffsm_drake.plugins.capture.contact import payload_body
 from ffsm_drake.plugins.capture.grasping import Aim, Meeting, target_at
 from ffsm_drake.plugins.capture.phases.chase import Chase, phase_of, replaced
@@ -16,6 +16,7 @@ from ffsm_drake.runs.phases import Phase, Situation, Stop
 from ffsm_drake.runs.stage import Stage
 from ffsm_drake.scenario import HELD
 from ffsm_drake.spacecraft.coordinates import halves
+from ffsm_drake.spacecraft.limits import FORCE
 from ffsm_drake.systems.mission_limits import actuation_limit
 from ffsm_drake.systems.reference import make_motion
 
@@ -29,11 +30,14 @@ class Held(Stop):
 
     def plan(self, now: Situation) -> tuple[Phase | None, Situation]:
         """After a gripper that closes in time the stop is planned from the measured state."""
+        end = None if self.until is None else now.sample + self.until
         if now.own is None or not now.own.closing:
-            return super().plan(now)
+            return Phase(names=(("stop", end),), grip=HELD), now
+        if end is not None:  # a later try leaves less time
+            end = min(end, now.own.scenario.num_control_periods)
         now = replaced(now, aim=Aim(_at_rest_in_gripper(now), sample=now.sample))
         how: Any = {"follows": False, "sees": False, "afresh": ("controller",)}
-        return phase_of(now, ("stop", self.until), grip=HELD, **how), now
+        return phase_of(now, ("stop", end), grip=HELD, **how), now
 
     def enter(self, now: Situation, phase: Phase, stage: Stage) -> Situation:
         """Grasp the target; the run continues from the state after the grasp."""
@@ -94,9 +98,8 @@ def _with_clear_stop(mission: Mission) -> Mission:
         if motion.end > scenario.duration:
             continue
         times = np.linspace(motion.begin, motion.end, _INSTANTS)
-        rows = motion.rows(times)
-        q = rows[:, : len(coordinates.position_names)]
-        if force_share(model, rows, limit) <= 1.0 and all(
+        force, (q, _, _) = motion.demand(model, times)[FORCE], motion.evaluate(times)
+        if (np.abs(force) <= limit).all() and all(
             each.keeps(scenario.clearance) for each in closest_of(scenario, times, q)
         ):
             return paced

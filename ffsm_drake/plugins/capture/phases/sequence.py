@@ -14,8 +14,8 @@ import numpy as np
 
 from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.mission import Mission
+from ffsm_drake.plugins.capture.closing import MOTION
 from ffsm_drake.plugins.capture.grasping import Aim, MadeGrasp, grasped_at_start, with_grasp
-from ffsm_drake.plugins.capture.gripper import MOTION
 from ffsm_drake.plugins.capture.phases.approach import Approach
 from ffsm_drake.plugins.capture.phases.chase import Chase
 from ffsm_drake.plugins.capture.phases.close import Close, free_motion
@@ -106,9 +106,14 @@ def _chase(mission: Mission) -> Chase:
 def _with_target(log: RunLog, now: Situation) -> RunLog:
     """The log with the target, and the external force on servicer and target together."""
     series = dict(log.series)
+    held_from = log.time.size if now.made is None else now.made.sample
     contact = series.pop(f"force_{GRIPPER.partition('.')[2]}", None)
     if contact is not None:
-        series["disturbance_force"] = series["disturbance_force"] - contact
+        # of a hand that closes later it is a force between parts of the stack
+        between = np.where(np.arange(len(contact))[:, None] < held_from, 0.0, contact)
+        series["disturbance_force"] = series["disturbance_force"] - contact + between
+        if "force_contacts" in series:
+            series["force_contacts"] = series["force_contacts"] + between
     target = now.own.path[: log.time.size]
     if (moved := series.pop(MOTION, None)) is not None:  # by the gripper
         target = np.where(np.isnan(moved), target, moved)
