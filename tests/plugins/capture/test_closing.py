@@ -9,9 +9,9 @@ import pytest
 from near_captures import SHORT
 
 from ffsm_drake import ScenarioError, load_scenario, simulate
+from ffsm_drake.plugins.capture.closing import Closing
 from ffsm_drake.plugins.capture.contact import coast
 from ffsm_drake.plugins.capture.free_body import Target
-from ffsm_drake.plugins.capture.gripper import Closing
 from ffsm_drake.plugins.capture.modes import Mode
 from ffsm_drake.plugins.capture.phases import retreat
 from ffsm_drake.runs.metrics import phases_of

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from ffsm_drake import load_scenario, make_nominal_plant
 from ffsm_drake.common.so3 import matrix_of
 from ffsm_drake.mission import Mission
+from ffsm_drake.plugins.capture.closing import Closing
 from ffsm_drake.plugins.capture.contact import coast
 from ffsm_drake.plugins.capture.free_body import (
     SIZE,
@@ -20,7 +21,6 @@ from ffsm_drake.plugins.capture.free_body import (
     inverse_inertia,
     shape_spread,
 )
-from ffsm_drake.plugins.capture.gripper import Closing
 from ffsm_drake.plugins.capture.target_filter import TargetFilter, observed
 from ffsm_drake.scenario import (
     Environment,
@@ -210,7 +210,8 @@ def released(start, environment, begin, end):
     for step in range(round((end - begin) / period)):
         outputs, memory = block.step({"state": state}, memory, Now(begin + step * period))
         assert not outputs["contact_force"].any()
-    return block.met(memory, end, state).motion
+    (met,) = block.met(memory, end, state).values()
+    return met.motion
 
 
 def off(found, expected):

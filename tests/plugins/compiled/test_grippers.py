@@ -11,8 +11,9 @@ from ffsm_drake import load_scenario
 from ffsm_drake.common.so3 import composed, cross_of, matrix_of, quaternion_of
 from ffsm_drake.loop.blocks import GRIPPER
 from ffsm_drake.mission import Mission
+from ffsm_drake.plugins.capture.closing import MOTION
 from ffsm_drake.plugins.capture.contact_force import Jaws
-from ffsm_drake.plugins.capture.gripper import MOTION, Gripper
+from ffsm_drake.plugins.capture.gripper import Gripper
 from ffsm_drake.plugins.compiled.case import Case
 from ffsm_drake.plugins.compiled.compiling import registers
 from ffsm_drake.plugins.compiled.engine import _kernel
@@ -62,14 +63,15 @@ def drawn(random, name, given):
 def met(random, block, state):
     """A target in the gripper: off it by some millimetres and degrees, and moving in it."""
     q, v = np.split(state, [(state.size + 1) // 2])
+    hand = block.hands[0]
     pose, twist = (
-        block.model.calc_frame_pose(q, block.hand),
-        block.model.calc_frame_twist(q, v, block.hand),
+        block.model.calc_frame_pose(q, hand.frame),
+        block.model.calc_frame_twist(q, v, hand.frame),
     )
     turn = quaternion_of(random.uniform(-0.05, 0.05, 3))
     q_WE = composed(pose[:4], turn)
-    q_WP = composed(q_WE, block.q_PE * [1.0, -1.0, -1.0, -1.0])
-    from_P = matrix_of(q_WP) @ block.p_PE
+    q_WP = composed(q_WE, hand.pose[:4] * [1.0, -1.0, -1.0, -1.0])
+    from_P = matrix_of(q_WP) @ hand.pose[4:]
     place = pose[4:] + random.uniform(-0.01, 0.01, 3) - from_P
     w = twist[:3] + random.uniform(-0.1, 0.1, 3)
     velocity = twist[3:] + random.uniform(-0.05, 0.05, 3) - cross_of(w, from_P)
@@ -96,7 +98,8 @@ def check_closing(variant, seed):
     def end(loop, context):
         system = loop.blocks[GRIPPER]
         memory = system.memory(system.GetMyContextFromRoot(context))
-        found["met"] = system.block.met(memory, context.get_time(), loop.whole_state(context))
+        at = memory, context.get_time(), loop.whole_state(context)
+        (found["met"],) = system.block.met(*at).values()
 
     expected = rollout.run(scenario, leg=Leg(last=SAMPLES, begin=begin, end=end))
     rollout.release()
@@ -124,7 +127,8 @@ def check_closing(variant, seed):
     sizes = [each.size for each in block.start().values()]
     parts = np.split(leg.state.cells["touched"], np.cumsum(sizes)[:-1])
     x = leg.state.cells["x"][: found["x"].size]
-    now = block.met(dict(zip(block.start(), parts, strict=True)), SAMPLES * scenario.sample_time, x)
+    memory = dict(zip(block.start(), parts, strict=True))
+    (now,) = block.met(memory, SAMPLES * scenario.sample_time, x).values()
     for name in ("motion", "offset", "rate"):
         np.testing.assert_allclose(
             getattr(now, name), getattr(found["met"], name), rtol=0.0, atol=1e-9

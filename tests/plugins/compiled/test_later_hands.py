@@ -41,7 +41,8 @@ def drawn(kind, seed, lanes=LANES, also=()):
     time of its own.
     """
     random = np.random.default_rng(seed)
-    is_late, approaches = kind not in ("both", "supervised"), kind in ("both", "approach", "flight")
+    is_late = kind not in ("both", "supervised", "jaws")
+    approaches = kind in ("both", "approach", "flight", "jaws", "late jaws")
     given = [
         "reference.duration=2",
         f"controller={random.choice(['tdc', 'asmc', 'tde_aismc', 'computed_torque'])}",
@@ -69,6 +70,9 @@ def drawn(kind, seed, lanes=LANES, also=()):
         lasts = round(random.uniform(1.0, 2.0), 2)
         jam = f"unit: joints.right_2, kind: jammed, time: 0.05, duration: {lasts}"
         given.append(f"faults.events={{one: {{{jam}}}}}")
+    if "jaws" in kind:
+        joints = random.choice(["limp", "controlled"])
+        given.append(f"capture.closing={{time: 0.1, hold: 0.1, rest: 1, joints: {joints}}}")
     if kind == "missed":
         given.append("sensing.position_bias={right_1: 0.1}")
         width = "{position: 0.5, angle: 0.2, velocity: null}"
@@ -109,6 +113,8 @@ def test_a_second_hand_has_the_run_of_drake():
         "supervised",
         "supervised late",
         "tries",
+        "jaws",
+        "late jaws",
     ],
 )
 @pytest.mark.parametrize("seed", range(DRAWS))

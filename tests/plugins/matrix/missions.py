@@ -59,10 +59,6 @@ REFUSED = {
         ({"law": "task-space law", "command": "design"}, ("task_time_delay", "gains are designed")),
         ({"motion": "frame", "command": "plan"}, ("reference.frame", "plan")),
         *(
-            ({"spacecraft": two_arms, "start": "measured target"}, ("capture.closing", "contact"))
-            for two_arms in _TWO_ARMS
-        ),
-        *(
             (
                 {"spacecraft": two_arms, "driven": driven, factor: "plan"},
                 ("actuation.driven", "plan"),

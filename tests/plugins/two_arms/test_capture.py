@@ -197,7 +197,7 @@ def test_the_second_hand_may_miss() -> None:
     ("override", "words"),
     [
         ("contacts.right.position_error=[1e-3, 0, 0]", "has no effect on a hand that grasps"),
-        ("capture.closing={time: 0.5}", "capture.closing: is not supported with more than one"),
+        ("capture.closing={time: 5}", "capture.closing: needs a capture.approach that lasts"),
     ],
 )
 def test_refusals_of_an_approach_are_one_line(override: str, words: str) -> None:

@@ -246,7 +246,7 @@ def test_a_rollout_that_is_kept_gives_the_same_bits_again() -> None:
     [
         (["contacts.left.closes=1"], "contacts.left.closes: must be 0, because the model welds"),
         (["contacts.right.closes=1.005"], "whole number of control samples"),
-        (["contacts.right.closes=5"], "must be within the duration of the run"),
+        (["contacts.right.closes=5"], "must leave time to grasp before the run ends"),
         (["contacts.right.position_error=[1e-3, 0, 0]"], "has no effect on a hand that grasps"),
         (["initial_posture.joints.left_1=3.0"], "its hand does not reach"),
         (["contacts.right.closes=-1"], "contacts.right.closes"),
