@@ -16,6 +16,27 @@ WRENCH = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
 
 
 @dataclass
+class Friction:
+    """Pads that hold the target by friction."""
+
+    coefficient: float = setting(0.3, "1", "coefficient of friction", above=0)
+    radius: float = setting(0.02, "m", "radius of the pad, a disc of uniform pressure", above=0)
+    axis: list[float] = vector_in(
+        [0.0, 0.0, 1.0],
+        "",
+        "direction from the pad into the target, in the axes of the hand's frame, of any length",
+        nonzero=True,
+    )
+    squeeze: float = setting(
+        0.0,
+        "N",
+        "force that closes two opposite pads of a gripper on the target; 0: one pad, which the "
+        "hand presses on the target",
+        least=0,
+    )
+
+
+@dataclass
 class Contact:
     """A hand that holds the target.
 
@@ -80,6 +101,9 @@ class Contact:
         "largest moment about an axis that a run should not exceed; null: none",
         above=0,
     )
+    friction: Friction | None = unitless(
+        None, "friction that must hold the hand on the target; null: nothing slips"
+    )
     position_error: list[float] = vector_in(
         ORIGIN,
         "m",
@@ -128,10 +152,11 @@ class InternalForce:
         least=0,
         most=1,
     )
-    preload: list[float] = setting(
+    preload: list[float] | None = setting(
         [0.0] * 6,
         "N m, N",
-        "desired moment and force on the target in addition to ``share``, in the axes of its frame",
+        "desired moment and force on the target in addition to ``share``, in the axes of its "
+        "frame; null: the least with which no hand slips (``friction``) in the planned motion",
         size=6,
     )
 
@@ -174,6 +199,8 @@ def _of_hands(scenario: Any) -> Problems:
         if hand in seen:
             problem = f"'{hand}' is also the hand of '{seen[hand]}'; name another hand"
             yield f"{key}.effector", problem
+        if len(contacts) < 2 and any((contact.friction, contact.force_limit, contact.moment_limit)):
+            yield key, "has friction or a limit, which needs a second contact; remove it"
         seen.setdefault(hand, name)
     welded = scenario.model.end_effector
     if welded not in seen:

@@ -33,6 +33,8 @@ class Limit:
     units: tuple[str, ...]  # units of the quantity
     upper: np.ndarray  # (n); (samples, n) where it depends on the motion; infinite: none
     lower: np.ndarray
+    # what a component beyond its bound does, if such a run is no success: "slips"
+    fails: str = ""
 
     @classmethod
     def of_coordinates(

@@ -102,7 +102,7 @@ SPECIAL = {
             "force": st.none()
             | st.fixed_dictionaries(
                 {"share": st.floats(0.0, 1.0)},
-                optional={"preload": st.lists(SIGNED, min_size=6, max_size=6)},
+                optional={"preload": st.none() | st.lists(SIGNED, min_size=6, max_size=6)},
             ),
         },
     ),

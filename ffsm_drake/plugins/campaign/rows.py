@@ -96,6 +96,21 @@ class Judged:
         return min(self.left, key=lambda name: self.left[name], default="")
 
     @property
+    def failed(self) -> str:
+        """What a component of a part does first beyond a limit, if this is no success; empty:
+        nothing.
+        """
+        parts = [placed.part for placed in self.log.parts.values()]
+        limits = [each for part in parts for each in part.limits(self.log.coordinates)]
+        found = [
+            (self.left[limit.told(i)], f"{name} {limit.fails}")
+            for limit in limits
+            for i, name in enumerate(limit.names)
+            if limit.fails and limit.told(i) in self.left
+        ]
+        return "{1} at t = {0:.2f} s".format(*min(found)) if found else ""
+
+    @property
     def closest(self) -> float | None:
         """Least distance of two bodies, m; below 0 they overlap."""
         closest = float(self._near[1].min(initial=np.inf))
@@ -235,6 +250,8 @@ def evaluate_run(spec: Spec, log: RunLog) -> Row:
                     f"{in_words(closest, 'as near as {}')}"
                 )
             text |= {"outcome": "not_settled", "message": told}
+    if text["outcome"] == "settled" and run.failed:
+        text |= {"outcome": "not_settled", "message": run.failed}
     values |= {each.column_name: each.value for each in log.figures if each.column_name}
     # The database knows no NaN.
     row = {

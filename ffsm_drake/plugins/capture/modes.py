@@ -230,8 +230,9 @@ class Supervising(Sampled):
         and without; the memory before; whether the law starts anew at the next sample (1).
         """
         was_anew = memory["restart"] != 0.0  # the law reads it at the sample after
-        begins, goes_on = (restart != 0.0) & ~was_anew, was_anew & (memory["forgot"] != 0.0)
-        wrenches, force = self.internal.step(*at, commands, memory["wrenches"], begins, goes_on)
+        goes_on, acts = was_anew & (memory["forgot"] != 0.0), restart != 0.0
+        begins, wrenches = acts & ~was_anew, memory["wrenches"]
+        wrenches, force = self.internal.step(*at, commands, wrenches, begins, goes_on, acts)
         return {"wrenches": wrenches, "internal_force": force, "forgot": memory["restart"]}
 
     @staticmethod

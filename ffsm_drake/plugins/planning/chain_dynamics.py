@@ -21,7 +21,7 @@ from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_VELOCITIES,
     position_errors,
 )
-from ffsm_drake.spacecraft.limits import FORCE, POSITION, RATE
+from ffsm_drake.spacecraft.limits import FORCE
 from ffsm_drake.spacecraft.nominal import PlantModel, damping_of
 from ffsm_drake.systems.plan import DEGREE, Plan
 from ffsm_drake.systems.reference import make_motion
@@ -132,5 +132,4 @@ class ChainDynamics:
         """
         motion = self.chain.along(plan)
         found = motion.demand(self._model, times)
-        (wrench,) = (found[name] for name in found if name not in (POSITION, RATE, FORCE))
-        return motion.rows(times), found[FORCE], wrench
+        return motion.rows(times), found[FORCE], found["contact_wrench"]

@@ -7,7 +7,8 @@ import numpy as np
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
-from ffsm_drake.plugins.two_arms.following import SINGULAR, Loads
+from ffsm_drake.plugins.two_arms.following import SINGULAR
+from ffsm_drake.plugins.two_arms.loads import Loads
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.planned_motion import PlannedMotion
 
@@ -62,7 +63,7 @@ class ClosedMotion(PlannedMotion):
 
     def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """See PlannedMotion."""
-        return self._loads.shared(self.evaluate(times), times, found)
+        return self._loads.shared(self, times, found)
 
     def _closed(self, row: np.ndarray) -> np.ndarray:
         nq, nv = self.coordinates.num_positions, self.coordinates.num_velocities

@@ -11,15 +11,19 @@ from pydrake.systems.primitives import Adder, Gain
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.numbers import short
 from ffsm_drake.loop import blocks
+from ffsm_drake.plugins.two_arms.borne import used_friction, weld_wrench
 from ffsm_drake.plugins.two_arms.flow import (
     CLOSING,
     CLOSING_UNITS,
+    FRICTION,
     GAP,
     LOSS,
+    WELD,
     WRENCHES,
     ContactFlow,
     contact_flow,
 )
+from ffsm_drake.plugins.two_arms.loads import is_judged
 from ffsm_drake.scenario import Grip, Scenario
 from ffsm_drake.scenario.contacts import ALL_HANDS, WRENCH, Contact, closing_contacts
 from ffsm_drake.spacecraft.coordinates import Coordinates
@@ -50,16 +54,17 @@ class Contacts(Part):
     )
     about += "the contact's frame on the target."
     contacts: Mapping[str, Contact] = dataclasses.field(default_factory=dict)
+    every: Mapping[str, Contact] = dataclasses.field(default_factory=dict)  # with the weld
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Contacts":
         """The contacts that close a loop."""
-        return cls(contacts=closing_contacts(scenario, ALL_HANDS))
+        return cls(contacts=closing_contacts(scenario, ALL_HANDS), every=scenario.contacts)
 
     def held_by(self, grip: Grip) -> "Contacts | None":
         """The contacts that close a loop in a phase; None without any."""
         contacts = {name: each for name, each in self.contacts.items() if grip.closes(each)}
-        return Contacts(contacts=contacts) if contacts else None
+        return dataclasses.replace(self, contacts=contacts) if contacts else None
 
     def build(self, setup: BlockSetup) -> "ContactForce":
         """The force of the contacts."""
@@ -116,28 +121,65 @@ class Contacts(Part):
                 heading="",
             ),
             *(late if self._is_late else ()),
+            *self._of_load(),
         )
 
-    def limits(self, coordinates: Coordinates) -> Sequence[Limit]:
-        """The limits of the wrenches."""
-        given = {
-            f"contacts.{name}.{key}": getattr(contact, key)
-            for name, contact in self.contacts.items()
-            for key in ("moment_limit", "force_limit")
-        }
-        if not any(given.values()):
-            return ()
-        bound = np.repeat([np.inf if each is None else each for each in given.values()], 3)
-        return [
-            Limit(
-                quantity=WRENCHES,
-                source=" or ".join(key for key, each in given.items() if each),
-                names=tuple(f"{name}_{axis}" for name in self.contacts for axis in WRENCH),
-                units=tuple(self._units.values()),
-                upper=bound,
-                lower=-bound,
+    def _of_load(self) -> Iterator[Signal]:
+        """Wrench of the welded hand, if it has limits, and the used friction."""
+        if self._weld:
+            yield Signal(
+                name=WELD,
+                unit="N m or N",
+                meaning="moment and force of the welded hand on the target, in the axes of its "
+                "frame, mean of the sample before",
+                components=WRENCH,
+                held=False,
+                of=weld_wrench,
+                panels={name: _unit_of(name) for name in WRENCH},
+                heading="Wrench of the welded hand",
             )
-        ]
+        if self._slipping:
+            yield Signal(
+                name=FRICTION,
+                unit="1",
+                meaning="used share of the friction of a hand: it slips above 1",
+                components=tuple(self._slipping),
+                held=False,
+                of=used_friction,
+                heading="Used friction",
+            )
+
+    @property
+    def _weld(self) -> Mapping[str, Contact]:
+        """The welded contact, if it has a limit or friction."""
+        return {
+            name: each
+            for name, each in self.every.items()
+            if name not in self.contacts and not each.closes and is_judged(each)
+        }
+
+    @property
+    def _slipping(self) -> Sequence[str]:
+        return [name for name, each in self.every.items() if each.friction is not None]
+
+    def limits(self, coordinates: Coordinates) -> Sequence[Limit]:
+        """The limits of the wrenches, and of the friction."""
+        found = [*_limit(WRENCHES, self.contacts), *_limit(WELD, self._weld)]
+        if self._slipping:
+            one = np.ones(len(self._slipping))
+            keys = " or ".join(f"contacts.{name}.friction" for name in self._slipping)
+            found.append(
+                Limit(
+                    quantity=FRICTION,
+                    source=f"{keys}, so the hand slips",
+                    names=tuple(self._slipping),
+                    units=("times its friction",) * one.size,
+                    upper=one,
+                    lower=-one,
+                    fails="slips",
+                )
+            )
+        return found
 
     def metrics(self) -> Sequence[Metric]:
         """Largest internal force and moment, over the run and over its last second; the gap."""
@@ -175,6 +217,18 @@ class Contacts(Part):
                 of=lambda run: np.nanmax(np.abs(run[GAP])),
             ),
             *(self._of_closings() if self._is_late else ()),
+            *(self._of_friction() if self._slipping else ()),
+        )
+
+    @staticmethod
+    def _of_friction() -> Iterator[Metric]:
+        """The largest used share of the friction of a hand."""
+        yield Metric(
+            key="contacts.friction",
+            unit="1",
+            label="Largest used friction",
+            ranked=True,
+            of=lambda run: np.nanmax(run[FRICTION], initial=0.0),
         )
 
     @property
@@ -207,7 +261,31 @@ class Contacts(Part):
 
     @property
     def _units(self) -> dict[str, str]:
-        return {name: "N" if "force" in name else "N m" for name in self._components}
+        return {name: _unit_of(name) for name in self._components}
+
+
+def _unit_of(name: str) -> str:
+    return "N" if "force" in name else "N m"
+
+
+def _limit(quantity: str, contacts: Mapping[str, Contact]) -> Iterator[Limit]:
+    """The limit of the wrenches of contacts, if one is given."""
+    given = {
+        f"contacts.{name}.{key}": getattr(contact, key)
+        for name, contact in contacts.items()
+        for key in ("moment_limit", "force_limit")
+    }
+    names = tuple(f"{name}_{axis}" for name in contacts for axis in WRENCH)
+    if any(given.values()):
+        bound = np.repeat([np.inf if each is None else each for each in given.values()], 3)
+        yield Limit(
+            quantity=quantity,
+            source=" or ".join(key for key, each in given.items() if each),
+            names=names,
+            units=tuple(map(_unit_of, names)),
+            upper=bound,
+            lower=-bound,
+        )
 
 
 def _largest(component: int, run: View) -> float:

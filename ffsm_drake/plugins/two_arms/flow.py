@@ -19,6 +19,7 @@ from ffsm_drake.systems.sampled import Arrays
 from ffsm_drake.systems.setup import BlockSetup
 
 WRENCHES, GAP = "contact_wrench", "contact_gap"
+WELD, FRICTION = "weld_wrench", "contact_friction"
 CLOSING, LOSS = "contact_closing", "contact_loss"  # where late hands grasp
 CLOSING_UNITS = {
     "linear_impulse": "N s",

@@ -6,7 +6,7 @@ with the position, velocity and acceleration of the closed chain there.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,18 +15,15 @@ from scipy.interpolate import BPoly, BSpline, make_interp_spline
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Loop
-from ffsm_drake.plugins.two_arms.flow import WRENCHES
-from ffsm_drake.plugins.two_arms.internal import InternalControl, planned_control
+from ffsm_drake.plugins.two_arms.loads import SOON, Loads
 from ffsm_drake.scenario import Grip, Scenario
-from ffsm_drake.scenario.contacts import ALL_HANDS, closing_contacts, closing_times
+from ffsm_drake.scenario.contacts import ALL_HANDS, closing_times
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
-from ffsm_drake.spacecraft.limits import FORCE
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.planned_motion import PlannedMotion
 
 _NODES, _MOST_NODES = 128, 2048
 _ACCURATE = 1e-10  # m, rad: gap between the nodes
-_SOON = 1e-9  # s; rounding of times
 _LEAST = 1.0  # s, of the spline of a hand that closes when the motion has ended
 SINGULAR = 0.01  # singular value of an arm's Jacobian below which no motion is planned
 
@@ -87,54 +84,12 @@ class Following(PlannedMotion):
 
     def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """See PlannedMotion."""
-        return self._loads.shared(self.evaluate(times), times, found)
+        return self._loads.shared(self, times, found)
 
 
 def samples_to(time: float, period: float) -> int:
     """Return the first sample that is not before a time (s)."""
-    return math.ceil(time / period - _SOON)
-
-
-class Loads:
-    """What the hands of a chain carry along a motion, as ``chain.force`` has it."""
-
-    def __init__(
-        self, scenario: Scenario, nominal: PlantModel, begins: Mapping[float, float]
-    ) -> None:
-        """Args: the scenario; the plant with the nominal payload; by the time ``closes`` of hands
-        the time of the motion at which they close, s, in this order.
-        """
-        self._scenario, self._nominal = scenario, nominal
-        self._closed, self._begins = list(begins), np.array(list(begins.values()))
-        self._stages = dict[float, tuple[ClosedChain, InternalControl]]()
-
-    def shared(
-        self, motion: tuple[np.ndarray, ...], times: np.ndarray, found: dict[str, np.ndarray]
-    ) -> dict[str, np.ndarray]:
-        """See PlannedMotion; of q_d, v_d and dv_d/dt (n, ...) at times of the motion (n,), s."""
-        hands, (q, v, a) = list(closing_contacts(self._scenario, ALL_HANDS)), motion
-        wrench, force = np.zeros((times.size, 6 * len(hands))), found[FORCE].copy()
-        begun = np.searchsorted(self._begins, times + _SOON, side="right") - 1
-        for k in np.unique(begun[begun >= 0]):
-            if not closing_contacts(self._scenario, Grip(closed=self._closed[k])):
-                continue
-            chain, control = self._stage(self._closed[k])
-            own, of = begun == k, chain.constraints
-            wanted = control.load(of, q[own], v[own], a[own]) + control.preload
-            jacobians = np.array([of.jacobian(each) for each in q[own]])
-            control.check_preload(chain.model, jacobians)
-            force[own] += [A.T @ one for A, one in zip(jacobians, wanted, strict=True)]
-            columns = [6 * hands.index(loop.name) for loop in chain.loops]
-            places = np.add.outer(columns, np.arange(6)).ravel()
-            wrench[np.ix_(own, places)] = [of.wrench(each) for each in wanted]
-        return found | {FORCE: force, WRENCHES: wrench}
-
-    def _stage(self, closed: float) -> tuple[ClosedChain, InternalControl]:
-        """The chain of the hands that have closed up to a time (s), and its internal control."""
-        if closed not in self._stages:
-            chain = ClosedChain(self._nominal, self._scenario, Grip(closed=closed), true=False)
-            self._stages[closed] = chain, planned_control(self._scenario, chain)
-        return self._stages[closed]
+    return math.ceil(time / period - SOON)
 
 
 def span(scenario: Scenario, grip: Grip, end: float) -> tuple[float, float]:

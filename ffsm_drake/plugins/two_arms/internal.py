@@ -1,6 +1,7 @@
 """The internal force of a closed chain, its control, and the wrenches of contacts in a motion."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from pydrake.multibody.tree import Frame
@@ -22,6 +23,7 @@ class InternalControl:
 
     gain: float  # times the sample time
     preload: np.ndarray  # (m)
+    is_least: bool  # the preload is that of a motion
     share: float | None  # of the target's load; None: the least of ``weight`` tau^2
     weight: np.ndarray  # (nv) of tau^2
     limit: np.ndarray  # (nv) of tau, N m or N; infinite: none
@@ -30,6 +32,11 @@ class InternalControl:
     mass: np.ndarray
     center: np.ndarray
     inertia: np.ndarray
+
+    @property
+    def start(self) -> np.ndarray:
+        """F (m) before the first sample, whose measured wrench has no preload yet."""
+        return (1.0 - self.gain) * self.preload
 
     def step(self, chain: Constraints, sample: Sample, force: np.ndarray) -> np.ndarray:
         """F at the next sample, of the nominal chain."""
@@ -73,13 +80,20 @@ class InternalControl:
         if self.share is None:
             force = chain.model.calc_inverse_dynamics(q, v, a)
             return chain.least_wrench(q, force, self.weight)
-        return self.share * self._whole_load(chain, q, v, a)
+        places = [each.grasp for each in chain.closures]
+        return self.share * (self.whole_load(chain.model, q, v, a, places) @ chain.wrench_map)
 
-    def _whole_load(
-        self, chain: Constraints, q: np.ndarray, v: np.ndarray, a: np.ndarray
+    def whole_load(
+        self,
+        model: PlantModel,
+        q: np.ndarray,
+        v: np.ndarray,
+        a: np.ndarray,
+        places: Sequence[Frame],
     ) -> np.ndarray:
-        """The wrenches (m) that each contact alone would need to move the target."""
-        model = chain.model
+        """The wrenches (6 for each place) that one hand at each place would need to move the
+        target, in the axes of the place.
+        """
         motion, R = (
             model.calc_frame_motion(q, v, a, self.target),
             model.calc_frame_rotation(q, self.target),
@@ -89,27 +103,32 @@ class InternalControl:
         force = self.mass * (linear + cross_of(alpha, p) + cross_of(w, cross_of(w, p)))
         moment = inertia @ alpha + cross_of(w, inertia @ w) + self.mass * cross_of(p, linear)
         wrenches = []
-        for each in chain.closures:
-            arm = model.calc_frame_pose(q, each.grasp)[4:] - motion[4:7]
-            turn = model.calc_frame_rotation(q, each.grasp).T
+        for place in places:
+            arm = model.calc_frame_pose(q, place)[4:] - motion[4:7]
+            turn = model.calc_frame_rotation(q, place).T
             wrenches += [turn @ (moment - cross_of(arm, force)), turn @ force]
-        return np.concatenate(wrenches) @ chain.wrench_map
+        return np.concatenate(wrenches)
 
 
 def internal_control(
     given: InternalForce, scenario: Scenario, chain: ClosedChain
 ) -> InternalControl:
-    """The control of a scenario's internal force, in its nominal chain."""
+    """The control of a scenario's internal force, in its nominal chain; without the preload that
+    a motion determines.
+    """
     model = chain.model
     body = find_body(model.plant, scenario.payload.body, key="payload.body")
     inertia = body.CalcSpatialInertiaInBodyFrame(model.context)
-    preload = np.tile(np.array(given.preload), len(chain.loops)) @ chain.constraints.wrench_map
+    preload = np.zeros(chain.constraints.size)
+    if given.preload is not None and chain.loops:
+        preload = np.tile(given.preload, len(chain.loops)) @ chain.constraints.wrench_map
     limit, share = force_limits(scenario, model.coordinates), given.share
     if share is None and not np.isfinite(limit[NUM_BASE_VELOCITIES:]).any():
         share = 0.0
     return InternalControl(
         gain=given.gain * scenario.sample_time,
         preload=preload,
+        is_least=given.preload is None,
         share=share,
         weight=1.0 / squared_limits(limit),
         limit=limit,

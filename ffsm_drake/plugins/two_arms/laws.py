@@ -18,6 +18,7 @@ from ffsm_drake.common.products import times
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.plugins.two_arms.chain_model import ChainModel, minimal_model
 from ffsm_drake.plugins.two_arms.internal import InternalControl, internal_control
+from ffsm_drake.plugins.two_arms.loads import preloaded
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import closing_contacts
 from ffsm_drake.spacecraft.free_floating import driven_model, whole_model
@@ -47,7 +48,7 @@ class MinimalLaw(WrappedLaw):
 
     def initial_state(self) -> State:
         """The law's, and the force of the internal control."""
-        internal = {_INTERNAL: np.zeros(self.model.constraints.size)} if self.internal else {}
+        internal = {_INTERNAL: self.internal.start} if self.internal else {}
         return {**self._padded(self.law.initial_state()), **internal}
 
     @property
@@ -149,12 +150,11 @@ def make_in_chain(setup: BlockSetup, make: Callable[[BlockSetup], Any]) -> Contr
     if not (hasattr(law, "initial_state") and hasattr(law, "step")):
         raise _unfit(setup, "is a Drake system")
     _try(law, model, setup)
-    given = scenario.chain.force
-    return MinimalLaw(
-        law=law,
-        model=model,
-        internal=None if given is None else internal_control(given, scenario, chain),
-    )
+    internal, given = None, scenario.chain.force
+    if given is not None:
+        control = internal_control(given, scenario, chain)
+        internal = preloaded(setup.mission, chain, control)
+    return MinimalLaw(law=law, model=model, internal=internal)
 
 
 def _try(law: ControlLaw, model: ChainModel, setup: BlockSetup) -> None:

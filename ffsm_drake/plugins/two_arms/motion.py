@@ -20,13 +20,13 @@ from ffsm_drake.plugins.two_arms.closed_motion import ClosedMotion
 from ffsm_drake.plugins.two_arms.following import (
     Arm,
     Closing,
-    Loads,
     Reach,
     fitted,
     span,
     with_arms,
 )
 from ffsm_drake.plugins.two_arms.framed import framed_motion
+from ffsm_drake.plugins.two_arms.loads import Loads
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.scenario.contacts import ALL_HANDS, closing_times
 from ffsm_drake.spacecraft.coordinates import (
@@ -106,7 +106,7 @@ class ChainMotion(PlannedMotion):
 
     def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """See PlannedMotion: the arms share the force as ``chain.force`` has it."""
-        return self._loads.shared(self.evaluate(times), times, found)
+        return self._loads.shared(self, times, found)
 
 
 @planned

@@ -2,8 +2,9 @@
 
 Rate damping adds no internal force: tau = -sigma kappa Hhat v gives A Hhat^-1 tau = -sigma kappa A
 v = 0. But the law starts anew and forgets F, the integral of ``laws.InternalControl``. The
-supervisor keeps a wrench K, and adds A' K to its command and to the law's. Where damping begins, K
-grows by the wrench that the last command tau, within the limits, brings about at rest,
+supervisor keeps a wrench K, and adds A' K to the law's command, which has F_0 at its start, and A'
+(K + F_0) to its own. Where damping begins, K + F_0 grows by the wrench that the last command tau,
+within the limits, brings about at rest,
 
     (A Hhat^-1 A')^-1 A Hhat^-1 tau.
 
@@ -21,7 +22,8 @@ import numpy as np
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, Constraints
 from ffsm_drake.plugins.two_arms.following import Following
 from ffsm_drake.plugins.two_arms.framed import framed_motion
-from ffsm_drake.plugins.two_arms.internal import force_limits, squared_limits
+from ffsm_drake.plugins.two_arms.internal import internal_control
+from ffsm_drake.plugins.two_arms.loads import preloaded
 from ffsm_drake.scenario.contacts import ALL_HANDS, closing_contacts
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.setup import BlockSetup
@@ -35,6 +37,7 @@ class KeptForce:
     weights: np.ndarray  # (nv) the diagonal of D
     places: np.ndarray  # (6 for each closed loop) among the wrenches of all contacts
     size: int  # of the wrenches of all contacts
+    start: np.ndarray  # (6 for each closed loop) F_0
 
     def step(
         self,
@@ -44,6 +47,7 @@ class KeptForce:
         wrenches: Any,
         begins: Any,
         goes_on: Any,
+        acts: Any,
     ) -> tuple[Any, Any]:
         """Return the wrenches on the target (``size``) that are kept after a sample, and their
         generalized force (nv).
@@ -60,9 +64,10 @@ class KeptForce:
         weights = np.linalg.solve(mass_matrix, A.T).T, A * self.weights
         for weighted, command, is_so in zip(weights, commands, (begins, goes_on), strict=True):
             added = closed.wrench(np.linalg.solve(weighted @ A.T, weighted @ command))
-            kept = kept + np.where(is_so, added, 0.0)
+            kept = kept + np.where(is_so, added - self.start, 0.0)
         after = 1.0 * wrenches
         after[self.places] = kept
+        kept = kept + np.where(acts, self.start, 0.0)
         along = kept if closed.is_spatial else closed.wrench_map.T @ kept
         return after, along @ A
 
@@ -77,16 +82,19 @@ class SupervisedChain:
 
     def kept(self) -> KeptForce | None:
         """The internal force that the supervisor keeps; None: the law controls none."""
-        scenario = self._setup.scenario
-        if scenario.chain.law != "minimal" or scenario.chain.force is None:
+        scenario, chain = self._setup.scenario, self._chain
+        given = scenario.chain.force
+        if scenario.chain.law != "minimal" or given is None:
             return None
+        control = preloaded(self._setup.mission, chain, internal_control(given, scenario, chain))
         names = [*closing_contacts(scenario, ALL_HANDS)]
-        firsts = np.array([6 * names.index(loop.name) for loop in self._chain.loops], dtype=int)
+        firsts = np.array([6 * names.index(loop.name) for loop in chain.loops], dtype=int)
         return KeptForce(
-            constraints=self._chain.constraints,
-            weights=1.0 / squared_limits(force_limits(scenario, self._setup.coordinates)),
+            constraints=chain.constraints,
+            weights=control.weight,
             places=np.add.outer(firsts, np.arange(6)).ravel(),
             size=6 * len(names),
+            start=chain.constraints.wrench(control.start),
         )
 
     def follow(self, motion: PlannedMotion, since: float, closed: float) -> PlannedMotion:

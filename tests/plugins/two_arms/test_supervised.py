@@ -71,10 +71,13 @@ def test_the_force_of_the_law_is_the_least(seed):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_what_the_supervisor_keeps(seed):
-    """It finds the internal force in that of the law, and the wrench that a force brings about."""
+    """It finds the internal force in that of the law, and the wrench that a force brings about,
+    beyond the force with which the law starts, a part of the preload.
+    """
     random = np.random.default_rng(seed)
-    setup = setup_of(limits(random))
-    kept = SupervisedChain(setup).kept()
+    preload = random.normal(size=6)
+    setup = setup_of(limits(random), {"chain": {"force": {"preload": preload.tolist()}}})
+    kept, start = SupervisedChain(setup).kept(), 0.95 * preload
     chain = ClosedChain(setup.nominal, setup.scenario, true=False)
     model = minimal_model(setup.mission, chain)
     q = chain.closed(posture(setup))
@@ -83,20 +86,22 @@ def test_what_the_supervisor_keeps(seed):
     law = model.calc_force(q, random.normal(size=A.shape[1] - 6)) + internal @ A
     acted = random.normal(size=A.shape[1])
     yes, no = np.array([True]), np.array([False])
-    after, force = kept.step(q, H, (acted, law), before, no, yes)
-    assert_allclose(after, before + internal, atol=1e-9)
+    after, force = kept.step(q, H, (acted, law), before, no, yes, no)
+    assert_allclose(after, before + internal - start, atol=1e-9)
     assert_allclose(force, after @ A, atol=1e-9)
-    after, _ = kept.step(q, H, (acted, law), before, yes, no)
+    after, force = kept.step(q, H, (acted, law), before, yes, no, yes)
+    assert_allclose(force, (after + start) @ A, atol=1e-9)
     # at rest: H a = tau + A' lambda, A a = 0; the target feels -lambda
     size = len(A)
     whole = np.block([[H, -A.T], [A, np.zeros((size, size))]])
     _, multipliers = np.split(np.linalg.solve(whole, np.append(acted, np.zeros(size))), [-size])
-    assert_allclose(after, before - multipliers, atol=1e-9)
-    assert_allclose(kept.step(q, H, (acted, law), before, no, no)[0], before, atol=0.0)
+    assert_allclose(after, before - multipliers - start, atol=1e-9)
+    assert_allclose(kept.step(q, H, (acted, law), before, no, no, no)[0], before, atol=0.0)
     # damping adds none
     S = model.calc_map(q)[1]
-    after, _ = kept.step(q, H, (-H @ S @ random.normal(size=S.shape[1]), law), before, yes, no)
-    assert_allclose(after, before, atol=1e-9)
+    damping = -H @ S @ random.normal(size=S.shape[1])
+    after, _ = kept.step(q, H, (damping, law), before, yes, no, yes)
+    assert_allclose(after, before - start, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(3 * DRAWS))
