@@ -193,9 +193,9 @@ def preloaded(mission: Mission, chain: ClosedChain, control: InternalControl) ->
     if used[k, hand] > 1.0:
         raise ScenarioError(
             "chain.force.preload",
-            f"null: no preload keeps every hand within its friction and limits: the wrench of "
-            f"{list(cones_of(scenario))[hand]} takes {100.0 * used[k, hand]:.3g} % of its friction "
-            f"at t = {times[k]:.3g} s; give a longer motion, larger limits, friction or squeeze",
+            f"null: {list(cones_of(scenario))[hand]} slips with any preload within the limits: "
+            f"{used[k, hand]:.3g} times its friction at t = {times[k]:.3g} s; slow the motion, or "
+            "give more friction",
         )
     hands = list(closing_contacts(scenario, ALL_HANDS))
     rows = [6 * hands.index(loop.name) + np.arange(6) for loop in chain.loops]
