@@ -156,7 +156,8 @@ def test_a_run_without_enough_preload_is_told_and_refused() -> None:
     )
     limits = "contacts.right.force_limit=20"
     tight = held("chain.force.preload=null", limits)
-    with pytest.raises(ScenarioError, match=r"preload: null: \w+ slips with any .* times .* at t = "):
+    told = r"preload: null: \w+ slips with any .* times .* at t = "
+    with pytest.raises(ScenarioError, match=told):
         simulate(tight, check_stability=False)
 
 
