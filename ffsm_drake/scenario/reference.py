@@ -107,8 +107,6 @@ class FrameGoal:
         coordinates.
         """
         reference = scenario.reference
-        if reference.kind == "optimal":
-            yield key, "has no effect on a plan; set kind: quintic or septic, or frame: null"
         for name, other in (("position", "attitude"), ("rpy", "position")):
             if getattr(self, name) is None:
                 continue

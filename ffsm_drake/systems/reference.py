@@ -131,11 +131,12 @@ def followed(mission: Mission, nominal: PlantModel, motion: PlannedMotion) -> Pl
     the conservation of momentum. Those of a closed chain follow its target or frame.
     """
     scenario, keys = mission.scenario, list[str]()
+    leads = scenario.reference.frame is not None and scenario.reference.kind != "optimal"
     if len(scenario.contacts) > 1:
         keys.append("contacts")
-    elif scenario.reference.frame is not None:
+    elif leads:
         keys.append("reference.frame")
-    if scenario.undriven and scenario.reference.frame is None:
+    if scenario.undriven and not leads:
         keys.append("actuation.driven")
     for key in keys:
         motion = FOLLOWERS.load(key, key)(motion, mission, nominal)

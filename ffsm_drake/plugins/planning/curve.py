@@ -66,6 +66,11 @@ class Curve:
         found: np.ndarray = self.lengths_by @ x[self.num_points : self.num_unknowns]
         return found
 
+    def given(self, x: np.ndarray) -> np.ndarray:
+        """The unknowns as numbers. x begins with them, and may have derivatives."""
+        found: np.ndarray = ExtractValue(x).ravel() if x.dtype == object else x
+        return found[: self.num_unknowns]
+
     def points(self, x: np.ndarray) -> np.ndarray:
         """Control points (count, size). x begins with the unknowns."""
         return x[: self.num_points].reshape(self.count, self.size)
@@ -110,8 +115,7 @@ class Curve:
 
         The rows are force, what else the dynamics give, and z. x begins with the unknowns.
         """
-        given = ExtractValue(x).ravel() if x.dtype == object else x
-        unknowns = given[: self.num_unknowns]
+        unknowns = self.given(x)
         if self._cache[0] == (key := unknowns.tobytes()):
             return self._cache[1:]
         calc = self._dynamics.calc

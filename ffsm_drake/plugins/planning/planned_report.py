@@ -32,6 +32,12 @@ class PlannedMotionReport:
     limits: MotionLimits
 
     @property
+    def last(self) -> np.ndarray:
+        """q (nq) at ``plan.duration``."""
+        row: np.ndarray = self.rows[self.times <= self.plan.duration][-1]
+        return row[: self.force.shape[1] + 1]
+
+    @property
     def exceeded(self) -> list[Margin]:
         """Limits that the plan does not keep."""
         return [margin for margin in self.margins if not margin.kept]

@@ -8,15 +8,14 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
-from scipy.interpolate import BPoly
 
 from ffsm_drake.common.errors import FfsmError, ScenarioError
 from ffsm_drake.common.numbers import short
-from ffsm_drake.common.so3 import rotation_error
 from ffsm_drake.common.steps import step
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.planning.chain_dynamics import PLANNED_CHAINS, ChainDynamics
 from ffsm_drake.plugins.planning.curve import INSTANTS
+from ffsm_drake.plugins.planning.ends import Ends
 from ffsm_drake.plugins.planning.inverse_dynamics import FreeDynamics, InverseDynamics
 from ffsm_drake.plugins.planning.motion_limits import (
     Margin,
@@ -44,6 +43,7 @@ _FINE = 8 * INSTANTS  # instants per segment, at which a plan is checked
 _POSTURES = 100  # number of instants for the clearance
 _DURATIONS = np.geomspace(0.0025, 1.0, 31)  # durations of the first guess, as parts of the longest
 _ATTEMPTS = 5  # at limits that are exceeded between the solver's instants
+_TOO_SHORT = 0.05  # share of the time of the search that is not used for a further solution
 _MORE = 1.002  # by which a plan is stretched beyond what its forces need
 _ACCURACY = 1e-8  # relative accuracy of the undriven base's final pose
 _AT_REST = 1e-9  # N m s
@@ -88,7 +88,7 @@ class _Planner:
     ) -> None:
         self._begun, self._evaluations = time.perf_counter(), 0
         self._time_limit = time_limit
-        mission = Mission(scenario)
+        mission = asked = Mission(scenario)
         if len(scenario.contacts) > 1:
             mission = PLANNED_CHAINS.load("contacts", "contacts").begun(mission)
         self._begins = "initial_posture" if mission.scenario is scenario else "last closing"
@@ -101,8 +101,6 @@ class _Planner:
         self._start = configuration(
             model.coordinates, scenario.initial_posture, key="initial_posture"
         )
-        target = configuration(model.coordinates, scenario.target_posture, key="target_posture")
-        self._target = None if scenario.reference.goal == "stop" else target
         self._rate = velocity_at_start(mission, model)
         first = RotationMatrix(Quaternion(self._start[:4]))
         self._planned = order = model.coordinates.driven  # indices of the z that is planned
@@ -114,15 +112,12 @@ class _Planner:
             self._dynamics = chain = ChainDynamics(mission, model, first, self._limits)
             self._start, self._planned, order = chain.chain.start, chain.chain.free, chain.order
         self._own_limits = self._limits.of(order)
-        if scenario.reference.frame is not None:
-            raise ScenarioError(
-                "reference.frame", "has no effect on a plan, which ends at a posture; remove it"
-            )
         if scenario.reference.duration is None:
             raise ScenarioError(
                 "reference.duration", "is auto; give the longest duration of the plan in s"
             )
         self._longest = scenario.reference.duration
+        self._ends = Ends(asked, mission, self._start, self._rate, self._planned)
         self._momentum = self._momentum_of(self._start, self._rate)
         torque = float(np.max(self._limits.force[:3])) / (1.0 - scenario.planning.reserve)
         self._least = self._momentum / torque  # s; by torque on the base alone
@@ -151,7 +146,7 @@ class _Planner:
                 f"no plan: {names[i]} starts at {rate[i]:.4g} {units[i]}/s, beyond its limit of "
                 f"{limits.rate[i]:.4g}"
             )
-        for what, posture in ((self._begins, self._start), ("target_posture", self._target)):
+        for what, posture in ((self._begins, self._start), ("target_posture", self._ends.posture)):
             if posture is None:
                 continue
             joints = np.r_[np.zeros(NUM_BASE_VELOCITIES), posture[NUM_BASE_POSITIONS:]]
@@ -207,8 +202,22 @@ class _Planner:
         return found
 
     @property
+    def _time_left(self) -> float:
+        """s of the search."""
+        return self._begun + self._time_limit - time.perf_counter()
+
+    @property
     def _is_over(self) -> bool:
-        return time.perf_counter() - self._begun > self._time_limit
+        return self._time_left < _TOO_SHORT * self._time_limit
+
+    def _solution(
+        self, problem: PlanningProgram, unknowns: np.ndarray, *, moving: bool
+    ) -> tuple[np.ndarray, str]:
+        """A solution in at most half of the time that is left, so that others can follow, which
+        keep the limits between the instants of the solver.
+        """
+        self._kept = 0.5 * self._time_left
+        return problem.solve(unknowns, moving=moving)
 
     def _problem(self, dynamics: InverseDynamics | FreeDynamics | ChainDynamics) -> PlanningProgram:
         scenario = self._scenario
@@ -219,21 +228,15 @@ class _Planner:
                 f"duration {duration:.3f} s, force up to {worst:.2f} of its limit"
             )
 
-        start, goal = self._driven_ends()
+        ends = self._ends
         return PlanningProgram(
             dynamics=dynamics, planning=scenario.planning, limits=self._own_limits,
-            start=start, rate=self._rate[self._planned], goal=goal, shortest=scenario.sample_time,
+            start=ends.start, rate=ends.rate, goal=ends.goal, end=ends.frame,
+            shortest=scenario.sample_time,
             longest=self._longest, clearance=self._clearance if scenario.clearance > 0.0 else None,
-            distance=scenario.clearance, report=report, is_over=lambda: self._is_over,
+            distance=scenario.clearance, report=report,
+            is_over=lambda: self._time_left < self._kept,
         )  # fmt: skip
-
-    def _driven_ends(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """z at the start and at the goal, if there is one, of what is planned."""
-        planned, goal = self._planned, self._target
-        start = np.r_[np.zeros(3), self._start[4:]][planned]
-        if goal is None:
-            return start, None
-        return start, np.r_[rotation_error(goal[:4], self._start[:4]), goal[4:]][planned]
 
     def _first_guess(self, problem: PlanningProgram, angle: float) -> np.ndarray:
         """Return the fifth-order polynomial from the start, at its rate, to rest, in the shortest
@@ -241,7 +244,6 @@ class _Planner:
 
         Without a detour a solver never leaves the plane of its first guess.
         """
-        start, _ = self._driven_ends()
         best, least, taken, refused = np.empty(0), np.inf, 0.0, ""
         for duration in np.unique(np.clip(_DURATIONS * self._longest, *problem.durations)):
             try:
@@ -257,7 +259,7 @@ class _Planner:
         if not best.size:
             raise PlanningError(f"no plan: no motion to begin with; {refused}")
         self._progress(f"first guess: fifth-order polynomial of {taken:.2f} s")
-        turned = np.arange(start.size) < 3
+        turned = np.arange(self._planned.size) < 3
         return best + problem.curve.guess(
             lambda share: angle * np.sin(np.pi * share[:, None]) ** 2 * turned, 0.0
         )
@@ -268,12 +270,7 @@ class _Planner:
         """
         if isinstance(self._dynamics, ChainDynamics):
             return self._dynamics.along(self._mission, duration, self._start[:4])
-        start, goal = self._driven_ends()
-        first = self._rate[self._planned] * duration
-        last = start + 0.5 * first if goal is None else goal
-        ends = [start, first, 0.0 * first], [last, 0.0 * first, 0.0 * first]
-        found: Callable[[np.ndarray], np.ndarray] = BPoly.from_derivatives([0.0, 1.0], ends)
-        return found
+        return self._ends.polynomial(duration)
 
     def _solved(
         self, problem: PlanningProgram, unknowns: np.ndarray
@@ -284,14 +281,15 @@ class _Planner:
         smaller share of it.
         """
         before = self._evaluations
-        unknowns, _ = problem.solve(unknowns, moving=False)
+        unknowns, _ = self._solution(problem, unknowns, moving=False)
         for attempt in range(_ATTEMPTS):
-            unknowns, said = problem.solve(unknowns, moving=attempt == 0)
+            unknowns, said = self._solution(problem, unknowns, moving=attempt == 0)
             self._evaluations = before + problem.evaluations
             found = self._evaluated(self._plan_of(unknowns))
             is_last = attempt == _ATTEMPTS - 1 or self._is_over
             if not found.exceeded or said == "InfeasibleConstraints" or is_last:
                 break
+            problem.learn_end(unknowns, found.last)
             used = {margin.quantity: margin for margin in found.margins}
             turn, near = used.get("turn"), used.get("clearance")
             problem.tighten(
@@ -356,21 +354,12 @@ class _Planner:
         main = times <= plan.duration
         impulse = np.trapezoid(np.abs(force[main]), times[main], axis=0)
         turns = np.linalg.norm(position_errors(rows, rows[:1])[:, :3], axis=1)
+        last = np.split(rows[main][-1, : 2 * size + 1], [size + 1])
         found = margins(limits, model, times, rows, force, impulse)
         if wrench.size:
             found += wrench_margins(limits, times, wrench)
         found += self._other_margins(times, rows[:, : size + 1], turns)
-        if (end_rate := self._scenario.planning.end_rate) > 0.0:
-            driven = model.coordinates.driven
-            last = rows[main][-1, size + 1 + driven]
-            k = int(np.argmax(np.abs(last)))
-            found.append(
-                Margin(
-                    quantity="end rate", name=model.coordinates.names[driven[k]],
-                    value=float(last[k]), limit=end_rate, time=plan.duration,
-                    unit=f"{model.coordinates.units[driven[k]]}/s",
-                )
-            )  # fmt: skip
+        found += self._ends.margins(plan.duration, *last)
         return PlannedMotionReport(
             plan=plan,
             solve_time=time.perf_counter() - self._begun,
@@ -382,7 +371,7 @@ class _Planner:
             },
             angular_momentum=self._momentum,
             least_by_torque=self._least,
-            momentum_left=self._momentum_of(*np.split(rows[main][-1, : 2 * size + 1], [size + 1])),
+            momentum_left=self._momentum_of(*last),
             base_turn=None if model.coordinates.is_driven[0] else float(turns.max()),
             margins=tuple(found),
             times=times,

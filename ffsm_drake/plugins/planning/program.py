@@ -15,6 +15,7 @@ from pydrake.solvers import LinearConstraint, MathematicalProgram, PyFunctionCon
 from ffsm_drake.common.so3 import attitude_motion
 from ffsm_drake.plugins.planning.chain_dynamics import ChainDynamics
 from ffsm_drake.plugins.planning.curve import Curve
+from ffsm_drake.plugins.planning.frame_end import FrameEnd
 from ffsm_drake.plugins.planning.inverse_dynamics import FreeDynamics, InverseDynamics
 from ffsm_drake.plugins.planning.motion_limits import MotionLimits
 from ffsm_drake.plugins.planning.nearness import Nearness
@@ -41,7 +42,8 @@ class PlanningProgram:
         limits: MotionLimits,
         start: np.ndarray,
         rate: np.ndarray,
-        goal: np.ndarray | None,
+        goal: np.ndarray,
+        end: FrameEnd | None,
         shortest: float,
         longest: float,
         clearance: Clearance | None,
@@ -55,7 +57,8 @@ class PlanningProgram:
         limits: limits of z alone, then of other forces.
         start: z at the start.
         rate: rate of z at the start.
-        goal: z at the end; None: anywhere.
+        goal: z at the end; NaN: anywhere.
+        end: the pose of a frame at the end; None: without one.
         shortest: least length of a segment, s.
         longest: largest duration, s.
         clearance: distances between parts; None: without a limit.
@@ -78,6 +81,9 @@ class PlanningProgram:
         self._add_lengths(shortest, longest)
         self._end: LinearConstraint | None = None
         self._add_curve(start, rate, goal)
+        self._frame = end
+        if end is not None:
+            self._add_frame(end)
         self._turn: TurnLimit | None = None
         if planning.base_attitude_limit is not None:
             self._add_turn(planning.base_attitude_limit)
@@ -113,7 +119,7 @@ class PlanningProgram:
         add(np.ones((1, segments)), [0.0], [0.0], self._times[1:])
         self._knots = self._program.AddBoundingBoxConstraint(none, none, self._times[1:])
 
-    def _add_curve(self, start: np.ndarray, rate: np.ndarray, goal: np.ndarray | None) -> None:
+    def _add_curve(self, start: np.ndarray, rate: np.ndarray, goal: np.ndarray) -> None:
         """Positions, rates and ends of the curve.
 
         The control points of its rate are 3 (P_k+1 - P_k) by the lengths of three segments.
@@ -123,8 +129,8 @@ class PlanningProgram:
         points = self._points.reshape(self.curve.count, self.curve.size)
         add = self._program.AddBoundingBoxConstraint
         add(start, start, points[0])
-        if goal is not None:
-            add(goal, goal, points[-1])
+        free = np.where(np.isnan(goal), np.inf, 0.0)
+        add(np.nan_to_num(goal) - free, np.nan_to_num(goal) + free, points[-1])
         for i, k in np.ndindex(self.curve.size, self.curve.count - 1):
             add(limits.lower[i], limits.upper[i], points[k + 1, i])
             most = float(limits.rate[i])
@@ -146,6 +152,14 @@ class PlanningProgram:
                 self._program.AddLinearConstraint(
                     np.array(rows), [0.0, -np.inf], [np.inf, 0.0], variables
                 )
+
+    def _add_frame(self, end: FrameEnd) -> None:
+        """A frame ends at its pose."""
+        curve, none = self.curve, np.zeros(6)[end.rows]
+        self._program.AddConstraint(
+            lambda x: curve.lifted(x, *end.distance(curve, curve.given(x))),
+            none, none, self._unknowns,
+        )  # fmt: skip
 
     def _limit_end(self, last: np.ndarray) -> None:
         """Limit the base's angular velocity at the end, with its rotation vector there (3,), rad.
@@ -254,6 +268,11 @@ class PlanningProgram:
             self._turn.most /= turn + _LESS
         if self._nearness is not None and short > 0.0:
             self._nearness.kept += short + _ROOM
+
+    def learn_end(self, unknowns: np.ndarray, q: np.ndarray) -> None:
+        """Aim so that the frame is at its pose, where unknowns lead to q (nq) at the end."""
+        if self._frame is not None:
+            self._frame.learn(self.curve, unknowns, q)
 
     def _evaluated(self, unknowns: np.ndarray) -> None:
         """Report about once a second."""

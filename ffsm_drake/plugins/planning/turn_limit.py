@@ -12,6 +12,18 @@ from ffsm_drake.plugins.planning.inverse_dynamics import turned
 _LESS_TURN, _TURN_ROOM = 0.85, 1e-3  # relative change of the base's turn between solutions
 
 
+def turned_along(of: Curve, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rotations (n, 3, 3) of a base that joints turn since the start of a curve, and its
+    small rotations (n, 3, unknowns) by the unknowns, in the axes of the world.
+    """
+    values, by = of.evaluate(x)
+    w, alpha = np.split(values[:, of.size : of.size + 6], 2, axis=1)
+    slope = by[:, of.size : of.size + 6]
+    step = np.zeros((len(of.steps), of.num_unknowns))
+    step[:, of.num_points :] = of.steps @ of.lengths_by
+    return turned(w, alpha, slope, of.steps @ of.last_lengths, step)
+
+
 class TurnLimit:
     """The constraint on the base's turn in a program, and how it comes nearer.
 
@@ -38,13 +50,7 @@ class TurnLimit:
         """Return the base's rotation vector at every instant but the first, and its small rotations
         by the unknowns.
         """
-        of = self._curve
-        values, by = of.evaluate(x)
-        w, alpha = np.split(values[:, of.size : of.size + 6], 2, axis=1)
-        slope = by[:, of.size : of.size + 6]
-        step = np.zeros((len(of.steps), of.num_unknowns))
-        step[:, of.num_points :] = of.steps @ of.lengths_by
-        rotation, turning = turned(w, alpha, slope, of.steps @ of.last_lengths, step)
+        rotation, turning = turned_along(self._curve, x)
         return Rotation.from_matrix(rotation[1:]).as_rotvec(), turning[1:]
 
     def _of(self, unknowns: np.ndarray) -> float:

@@ -242,10 +242,9 @@ def closed_motion(motion: PlannedMotion, mission: Mission, nominal: PlantModel) 
     """The motion of a chain: of a frame along its path, along a plan, or of the target along the
     path of a polynomial. Raises the errors of these motions.
     """
-    if mission.scenario.reference.frame is not None:
-        return framed_motion(motion, mission, nominal)
     if mission.scenario.reference.kind != "optimal":
-        return ChainMotion(motion, mission, nominal)
+        framed = mission.scenario.reference.frame is not None
+        return (framed_motion if framed else ChainMotion)(motion, mission, nominal)
     if len(closing_times(mission.scenario)) > 1:
         return PlannedAfterClosing(motion, mission, nominal.grip)
     return ClosedMotion(motion, mission, nominal)

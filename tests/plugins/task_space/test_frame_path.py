@@ -123,5 +123,3 @@ def test_what_a_frame_does_not_go_with_is_named():
         load_scenario(
             "postcapture", ["reference.frame={position: [1, 2, 3]}", "reference.goal=stop"]
         )
-    with pytest.raises(ScenarioError, match=r"reference.frame: .*plan"):
-        load_scenario("planar_detumble", ["reference.frame={}"])
