@@ -32,7 +32,7 @@ def plot_design(found: Design) -> Figure:
 
 
 def _chart(found: Design, group: str) -> Chart:
-    part = found.chosen.prediction.coordinates.groups[group]
+    part = found.chosen.prediction.groups[group].errors
     least = np.sqrt(np.mean(found.limit.front_error[:, part] ** 2, axis=1))
     curves = [Curve(found.limit.front_excess, least, Style(BLACK), "least possible (LQG)")]
     if found.front:
@@ -52,7 +52,8 @@ def _chart(found: Design, group: str) -> Chart:
             curves.append(point)
     budget = max(found.requirement.budget - found.ideal_isv, _LEAST)
     return Chart(
-        title=GROUP_TITLES[group], x="ISV above perfect tracking", curves=curves,
+        title=GROUP_TITLES.get(group, group.replace("_", " ").capitalize()),
+        x="ISV above perfect tracking", curves=curves,
         y="rms error after 5 s [rad or m]", margin=0.08,
         levels=[Level(budget, axis="x", style=Style(BLACK, "dash"))],
         log_x="~e", log_y="~e",

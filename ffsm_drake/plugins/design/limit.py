@@ -1,7 +1,8 @@
 """The limit of linear controllers: the LQG front of error against effort, and the distance of a
 controller to it.
 
-The model is the closed loop at the middle of the planned motion. It has the sampled true plant and
+The model is the closed loop at the middle of the planned motion, or at its end with a tracked frame
+(``at_rest``). It has the sampled true plant and
 the sensor noise of the scenario: white noise, correlated noise, and random walks of biases. An
 acceleration d with a random walk represents everything that the controller does not model. The walk
 is as fast as the planned motion and the disturbance require.
@@ -20,7 +21,7 @@ import dataclasses
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-from ffsm_drake.common.errors import BlockError, FfsmError
+from ffsm_drake.common.errors import FfsmError
 from ffsm_drake.common.steps import step
 from ffsm_drake.mission import Mission, make_mission
 from ffsm_drake.plugins.design.stability.adaptation import expected_gains
@@ -35,6 +36,7 @@ from ffsm_drake.plugins.estimators.filter_gains import SMALLEST_RATIO
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 
+_UNNEEDED = 1e-6  # weight of coordinates that no output needs
 # Prices of effort along the front, in the units of ``_regulator``.
 _PRICES = np.geomspace(1e7, 1e-3, 16)
 
@@ -43,9 +45,11 @@ _PRICES = np.geomspace(1e7, 1e-3, 16)
 class Limit:
     """A controller in the model above, and the LQG front."""
 
-    error: np.ndarray  # (nv,) rms error of the controller, rad or m; infinite where it is unstable
+    # rms errors of the outputs of the controller, rad or m; infinite where it is unstable
+    error: np.ndarray
+    controlled: np.ndarray  # indices of the outputs that the controller controls
     excess: float  # its effort beyond -H d, as ISV over the run
-    front_error: np.ndarray  # (m, nv) the same of the LQG controllers, the cheapest first
+    front_error: np.ndarray  # (m, outputs) the same of the LQG controllers, the cheapest first
     front_excess: np.ndarray  # (m,)
 
     @property
@@ -58,9 +62,10 @@ class Limit:
         """
         if not len(self.front_excess):
             return float("nan")
-        if not np.isfinite(self.error).all() or self.excess <= 0.0:
+        error, front = self.error[self.controlled], self.front_error[:, self.controlled]
+        if not np.isfinite(error).all() or self.excess <= 0.0:
             return float("inf")
-        relative = np.sqrt(np.mean((self.front_error / self.error) ** 2, axis=1))
+        relative = np.sqrt(np.mean((front / error) ** 2, axis=1))
         possible = np.exp(
             np.interp(np.log(self.excess), np.log(self.front_excess), np.log(relative))
         )
@@ -75,8 +80,8 @@ def find_limit(scenario: Scenario | Mission, demand: Demand | None = None) -> Li
       scenario: the scenario, or its mission.
       demand: demand of the scenario; None: computed.
 
-    Raises: the errors of ``Linearizer`` and ``Linearizer.at``; BlockError for a controller tracking
-    a frame; FfsmError for a run of one control period (its demand has no rate).
+    Raises: the errors of ``Linearizer`` and ``Linearizer.at``; FfsmError for a run of one control
+    period (its demand has no rate).
     """
     mission = make_mission(scenario)
     demand = make_demand(mission) if demand is None else demand
@@ -85,28 +90,31 @@ def find_limit(scenario: Scenario | Mission, demand: Demand | None = None) -> Li
         count, step = scenario.num_control_periods, scenario.sample_time
         if count < 2:
             raise FfsmError("the limit needs two control periods; lengthen duration")
-        if linearizer.tracks_frame:
-            raise BlockError(
-                f"{scenario.controller} tracks a frame, and the limit is defined for coordinates"
-            )
-        time = planned.motion.part(0.5)
-        loop = linearizer.at(time, held=expected_gains(linearizer))
+        time = planned.motion.part(1.0 if linearizer.tracks_frame else 0.5)
+        loop, outputs = linearizer.at(time, held=expected_gains(linearizer)), linearizer.outputs
+        jacobian = outputs.frame_jacobian(loop.time, free=True)
     mass, _ = planned.mass_matrices(time, locked=True)
     walk = np.sqrt(np.mean(np.gradient(demand.lumped, step, axis=0) ** 2, axis=0) * step)
-    response = loop.with_random_walk(walk, mass).noise_response(count)
+    response = outputs.seen(loop).with_random_walk(walk, mass).noise_response(count)
     before, after = _filter(scenario, demand.coordinates, walk)
-    scale = np.where(
-        np.isfinite(response["error"]), response["error"], np.sqrt(before[:, 0, 0]) * step**2
-    )
+    rows, error = np.eye(len(walk)), response["error"]
+    if jacobian is not None:
+        rows, error = np.vstack([rows, jacobian]), np.append(error, response["frame_error"])
+    known = np.sqrt((rows**2) @ before[:, 0, 0]) * step**2
+    scale = np.where(np.isfinite(error), error, known)
+    weight = np.zeros_like(scale)
+    kept = outputs.controlled
+    weight[kept] = (scale[kept].min() / scale[kept]) ** 2
     front = list[tuple[np.ndarray, float]]()
     for price in _PRICES if not scenario.blocks.sensing else ():
         # too badly scaled to be solved
         with contextlib.suppress(ValueError, np.linalg.LinAlgError):
-            front.append(_regulator(mass, before, after, scale / step**2, price))
+            front.append(_regulator(mass, before, after, rows, weight, price))
     return Limit(
-        error=response["error"],
+        error=error,
+        controlled=kept,
         excess=float((response["force"] ** 2).sum() * count * step),
-        front_error=np.array([error for error, _ in front]).reshape(-1, len(walk)) * step**2,
+        front_error=np.array([error for error, _ in front]).reshape(-1, len(rows)) * step**2,
         front_excess=np.array([variance for _, variance in front]) * count * step,
     )
 
@@ -161,14 +169,17 @@ def _filter(
 
 
 def _regulator(
-    mass: np.ndarray, before: np.ndarray, after: np.ndarray, scale: np.ndarray, price: float
-) -> tuple[np.ndarray, float]:
-    """Rms error (nv, units of L^2) and variance of the excess force of the LQG controller.
+    mass: np.ndarray, before: np.ndarray, after: np.ndarray, rows: np.ndarray, weight: np.ndarray,
+    price: float,
+) -> tuple[np.ndarray, float]:  # fmt: skip
+    """Rms errors of outputs (m, units of L^2) and variance of the excess force of the LQG
+    controller.
 
     Args:
       mass: H (nv, nv).
       before, after: covariances (nv, 3, 3) of ``_filter``.
-      scale: sizes of errors of the same weight (nv), units of L^2.
+      rows: derivative of the outputs by the coordinates (m, nv).
+      weight: of the squared outputs (m).
       price: of the squared force.
     """
     nv = len(mass)
@@ -176,9 +187,11 @@ def _regulator(
     unit = np.sqrt(np.mean(np.diagonal(mass) ** 2))  # force of an acceleration of one
     a = np.block([[eye, eye], [zero, eye]])
     b = np.vstack([0.5 * eye, eye]) @ np.linalg.inv(mass) * unit
-    weight = np.zeros((2 * nv, 2 * nv))
-    weight[:nv, :nv] = np.diag((scale.min() / scale) ** 2)
-    cost = solve_discrete_are(a, b, weight, price * eye)
+    weights = np.zeros((2 * nv, 2 * nv))
+    weights[:nv, :nv] = (rows.T * weight) @ rows
+    if np.count_nonzero(weight) < len(weight):  # coordinates that no output needs stay bounded
+        weights[:nv, :nv] += _UNNEEDED * weight.max() * eye
+    cost = solve_discrete_are(a, b, weights, price * eye)
     gain = np.linalg.solve(price * eye + b.T @ cost @ b, b.T @ cost @ a)
     closed = a - b @ gain
 
@@ -187,6 +200,7 @@ def _regulator(
         return np.block([[np.diag(blocks[:, i, j]) for j in range(2)] for i in range(2)])
 
     estimate = covariance_after(closed, joined(before - after), samples=STATIONARY)
-    error = np.diagonal(closed @ estimate @ closed.T + joined(before))[:nv]
+    spread = (closed @ estimate @ closed.T + joined(before))[:nv, :nv]
+    error = np.einsum("ij,jk,ik->i", rows, spread, rows)
     force = unit**2 * gain @ estimate @ gain.T + mass @ np.diag(after[:, 2, 2]) @ mass.T
     return np.sqrt(error), float(np.trace(force))

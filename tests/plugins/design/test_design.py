@@ -17,6 +17,7 @@ from ffsm_drake.cli import main
 from ffsm_drake.plugins.design.gains import INTERRUPT, design
 from ffsm_drake.plugins.design.gains.requirement import Baseline, DesignPoint, Requirement
 from ffsm_drake.plugins.design.stability.boundaries import Boundaries
+from ffsm_drake.plugins.design.stability.outputs import groups_of
 from ffsm_drake.plugins.design.stability.prediction import Prediction
 from ffsm_drake.plugins.design.tables import design_table
 from ffsm_drake.spacecraft.craft import make_nominal_plant
@@ -43,6 +44,7 @@ def point_of(coordinates, *, errors=1.0, isv=100.0, noise_force=0.0, lost_margin
         scenario=load_scenario("postcapture"),
         prediction=Prediction(
             coordinates=coordinates,
+            groups=groups_of(coordinates),
             spectral_radius=0.99,
             rms_error=rms,
             noise_error=rms,

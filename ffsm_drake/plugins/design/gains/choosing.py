@@ -24,7 +24,7 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 
 import numpy as np
 
-from ffsm_drake.common.errors import BlockError, ScenarioError
+from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.guard import guarded
 from ffsm_drake.common.interrupts import current, interruptible
 from ffsm_drake.common.numbers import counted, number
@@ -52,11 +52,11 @@ from ffsm_drake.plugins.design.stability.adaptation import adapts, axis_law, exp
 from ffsm_drake.plugins.design.stability.boundaries import Boundaries, find_boundaries
 from ffsm_drake.plugins.design.stability.linear_loop import NotLinear
 from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer
+from ffsm_drake.plugins.design.stability.outputs import Outputs
 from ffsm_drake.plugins.design.stability.planned_dynamics import Demand, make_demand
 from ffsm_drake.plugins.design.stability.prediction import Prediction, predict_noise
 from ffsm_drake.plugins.design.stability.rehearsal import rehearse
 from ffsm_drake.scenario import Scenario, checked
-from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.controllers import complete_gains
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 from ffsm_drake.systems.mission_limits import actuation_limit
@@ -105,8 +105,7 @@ def design(
 
     Raises:
       ScenarioError: no gains meet the budget, or a value of the scenario cannot be used.
-      BlockError: a user-supplied block cannot be loaded, built, wired or linearised; the controller
-        tracks a frame.
+      BlockError: a user-supplied block cannot be loaded, built, wired or linearised.
 
     Example:
       >>> from ffsm_drake import design, load_scenario
@@ -326,11 +325,6 @@ class _Search:
         """
         period, force, requirement = candidate.sample_time, self._demand.force, self.requirement
         with Linearizer(candidate) as linearizer:
-            if linearizer.tracks_frame:
-                raise BlockError(
-                    f"{candidate.controller} tracks a frame; gains are designed for "
-                    "errors of coordinates"
-                )
             if whole:
                 linearizer.refuse_marginal(linearizer.at(linearizer.motion.part(1.0)))
             radii = _radius_by_mass(linearizer, (self._masses[0], self._masses[-1]))
@@ -339,11 +333,11 @@ class _Search:
             noise = (
                 predict_noise(linearizer, held)
                 if stable or whole
-                else _diverged(linearizer.coordinates)
+                else _diverged(linearizer.outputs)
             )
             point = DesignPoint(
                 scenario=candidate,
-                prediction=noise.with_mean(np.zeros_like(force), force, period=period),
+                prediction=noise.with_mean(np.zeros((len(force), 1)), force, period=period),
                 radius_by_mass=radii,
                 is_by_axis=axis_law(linearizer) is not None,
                 is_run=False,
@@ -426,7 +420,9 @@ def _boundaries(scenario: Scenario) -> tuple[Boundaries, float]:
     time, s.
     """
     with Linearizer(scenario) as linearizer:
-        times = map(linearizer.part, POSTURES)
+        times = [linearizer.part(share) for share in POSTURES]
+        if linearizer.tracks_frame:  # as ``at_rest``
+            times = [times[0], times[-1]]
         edge = max(times, key=lambda time: linearizer.at(time).spectral_radius)
     return find_boundaries(scenario, time=edge, adapted=False), edge
 
@@ -440,13 +436,14 @@ def _room(scenario: Scenario, demand: Demand) -> np.ndarray:
     return np.maximum(limit - motion, 0.5 * limit) / ROOM
 
 
-def _diverged(coordinates: Coordinates) -> Prediction:
-    values = np.full(coordinates.num_velocities, np.inf)
+def _diverged(outputs: Outputs) -> Prediction:
+    values = np.full(outputs.coordinates.num_velocities, np.inf)
     return Prediction(
-        coordinates=coordinates,
+        coordinates=outputs.coordinates,
+        groups=outputs.groups,
         spectral_radius=math.inf,
-        rms_error=values,
-        noise_error=values,
+        rms_error=np.full(outputs.size, np.inf),
+        noise_error=np.full(outputs.size, np.inf),
         noise_force=values,
         isv_by_coordinate=values,
         peak_effort=values,

@@ -7,7 +7,8 @@ import numpy as np
 
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.design.gains.requirement import DesignPoint, Requirement
-from ffsm_drake.plugins.design.rounding import rounded_by_group
+from ffsm_drake.plugins.design.rounding import rounded, rounded_by_group
+from ffsm_drake.plugins.design.stability.outputs import Group
 from ffsm_drake.scenario import Scenario, scenario_from_dict, scenario_to_dict
 from ffsm_drake.spacecraft.craft import Craft
 from ffsm_drake.systems.controllers import declared_gains, make_law
@@ -43,7 +44,7 @@ def vary(
                         continue
                     joined = (
                         point
-                        if len(better) == len(before)
+                        if len(better) == len(before) or _is_scalar(best.scenario, name)
                         else evaluate(_scaled(best.scenario, name, better))
                     )
                     if sum(_group_costs(joined, price, requirement).values()) < sum(
@@ -66,10 +67,9 @@ def _group_costs(point: DesignPoint, price: float, requirement: Requirement) -> 
     errors = prediction.by_group()
     costs = {
         name: float(
-            np.log(errors[name] * crowding[part].max())
-            + price * prediction.isv_by_coordinate[part].sum()
+            np.log(errors[name] * crowding[group.forces].max()) + price * prediction.isv_of(group)
         )
-        for name, part in groups.items()
+        for name, group in groups.items()
     }
     if baseline is not None and "accuracy" not in baseline.trade:
         for name, (after, before) in baseline.errors(point).items():
@@ -77,18 +77,24 @@ def _group_costs(point: DesignPoint, price: float, requirement: Requirement) -> 
     return costs
 
 
-def _groups(point: DesignPoint) -> Mapping[str, slice]:
-    return point.prediction.coordinates.driven_groups
+def _groups(point: DesignPoint) -> Mapping[str, Group]:
+    return point.prediction.groups
+
+
+def _is_scalar(scenario: Scenario, name: str) -> bool:
+    """Whether a value is one for all groups."""
+    gain = declared_gains(scenario).get(name)
+    return gain is not None and gain.scalar
 
 
 def _tunable(scenario: Scenario) -> list[str]:
-    """Names that ``_scaled`` takes: feedback gains by coordinate, except bounds, and random
-    walks.
+    """Names that ``_scaled`` takes: feedback gains, except bounds, and random walks. Scalar gains
+    must be per time, because others may be shares or powers.
     """
     names = [
         name
         for name, gain in declared_gains(scenario).items()
-        if gain.feedback and not gain.bound and not gain.scalar
+        if gain.feedback and not gain.bound and (not gain.scalar or gain.unit.startswith("1/s"))
     ]
     mission = Mission(scenario)
     law = make_law(mission, mission.craft.nominal())
@@ -99,10 +105,13 @@ def _scaled(scenario: Scenario, name: str, factors: Mapping[str, float]) -> Scen
     """The scenario with one tunable value times a factor by group, and likewise the upper bound of
     an adapted gain.
     """
-    coordinates = Craft(scenario).coordinates
-    factor = coordinates.vector(factors, key=name, default=1.0)
     data: dict[str, Any] = scenario_to_dict(scenario)
     gains = data["controllers"][scenario.controller_key]
+    if _is_scalar(scenario, name):
+        gains[name] = rounded(gains[name] * next(iter(factors.values())))
+        return scenario_from_dict(data)
+    coordinates = Craft(scenario).coordinates
+    factor = coordinates.vector(factors, key=name, default=1.0)
     place = gains if name in gains else data["estimator"]
     for key in (name, f"{name.removesuffix('_initial')}_max"):
         if place.get(key) is not None:

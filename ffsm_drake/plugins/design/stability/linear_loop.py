@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Self
 
 import numpy as np
@@ -82,6 +82,8 @@ class LinearLoop:
     tracks_frame: bool = False
     # memory of the controller: name -> its part of x
     memory: Mapping[str, slice] = dataclasses.field(default_factory=dict)
+    # (6, nv) derivative of the pose of the tracked frame by e; None: there is none
+    frame_jacobian: np.ndarray | None = None
     # name of a source -> its part of w
     noise: Mapping[str, slice] = dataclasses.field(default_factory=dict)
 
@@ -192,11 +194,14 @@ class LinearLoop:
         without error, rounded up to a power of two.
 
         Keys ``error`` (rad, m), ``error_rate`` (per s) and ``force`` (N m, N); ``sliding_variable``
-        (after a sample's update) where the controller has one.
+        (after a sample's update) where the controller has one; ``frame_error`` (6; rad, m) with a
+        tracked frame.
         """
         nv = self.coordinates.num_velocities
         if not np.isfinite(self.poles).all():
-            return {name: np.full(nv, np.inf) for name in ("error", "error_rate", "force")}
+            found = {name: np.full(nv, np.inf) for name in ("error", "error_rate", "force")}
+            of_frame = np.full(0 if self.frame_jacobian is None else 6, np.inf)
+            return {**found, "frame_error": of_frame} if of_frame.size else found
         with np.errstate(over="ignore", invalid="ignore"):  # growing loops
             variances = self._variances(samples)
         return {
@@ -218,14 +223,20 @@ class LinearLoop:
         for a, b, _, _ in maps:
             power, once = a @ power, a @ once @ a.T + b @ b.T
         covariance = covariance_after(power, once, samples=math.ceil(samples / len(maps)))
-        of_state, of_force = np.zeros(len(covariance)), np.zeros(nv)
+        of_state, of_force, jacobian = np.zeros(len(covariance)), np.zeros(nv), self.frame_jacobian
+        of_frame = np.zeros(0 if jacobian is None else len(jacobian))
         for a, b, c, d in maps:
             of_state += np.diagonal(covariance) / len(maps)
+            if jacobian is not None:
+                spread = jacobian @ covariance[:nv, :nv]
+                of_frame += np.einsum("ij,ij->i", spread, jacobian) / len(maps)
             of_force += (np.einsum("ij,jk,ik->i", c, covariance, c) + (d**2).sum(axis=1)) / len(
                 maps
             )
             covariance = a @ covariance @ a.T + b @ b.T
         variances = {"error": of_state[:nv], "error_rate": of_state[nv : 2 * nv], "force": of_force}
+        if of_frame.size:
+            variances["frame_error"] = of_frame
         if "sliding_variable" in self.memory:
             part, sample = self.memory["sliding_variable"], self.samples[0]
             row = sample.a[part][:, keep]
@@ -295,6 +306,13 @@ class LinearLoop:
             acting = acting | arrows[acting].any(axis=0)
             driven = driven | arrows[:, driven].any(axis=1)
         return acting & driven
+
+
+def at_rest(loops: Sequence[LinearLoop]) -> Sequence[LinearLoop]:
+    """The loops along a motion by which stability at rest is judged: with a tracked frame, those of
+    its ends, because a frame that moves may pass a singular posture.
+    """
+    return (loops[0], loops[-1]) if loops[0].tracks_frame else loops
 
 
 def covariance_after(a: np.ndarray, noise: np.ndarray, *, samples: int) -> np.ndarray:

@@ -27,6 +27,7 @@ from ffsm_drake.plugins.design.stability.linear_loop import (
     NotLinear,
 )
 from ffsm_drake.plugins.design.stability.linear_settings import without_limits
+from ffsm_drake.plugins.design.stability.outputs import Outputs
 from ffsm_drake.plugins.design.stability.own_adaptation import OwnAdaptation, own_adaptation
 from ffsm_drake.plugins.design.stability.planned_dynamics import PlannedDynamics, from_grasp
 from ffsm_drake.plugins.design.stability.sampled_loop import (
@@ -37,7 +38,6 @@ from ffsm_drake.plugins.design.stability.sampled_loop import (
 )
 from ffsm_drake.plugins.design.stability.separate_axes import law_of_axes
 from ffsm_drake.scenario import EMPTY, Grip, MassProperties, Scenario
-from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.systems.controllers.checked import has_user_code
 from ffsm_drake.systems.controllers.time_delay import TimeDelayControl
 from ffsm_drake.systems.faults import settle_faults
@@ -227,8 +227,8 @@ class Linearizer:
     def follow(
         self, *, held: Mapping[str, np.ndarray] | None = None, samples: int | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The run without noise: true error at the samples and force from each to the next (n, nv),
-        NaN after a failure or divergence, as in a run.
+        """The run without noise: true errors of the outputs at the samples (n, size), and the force
+        from each to the next (n, nv), NaN after a failure or divergence, as in a run.
 
         Args:
           held: see ``at``.
@@ -237,7 +237,6 @@ class Linearizer:
         count = self.scenario.num_control_periods if samples is None else samples
         nv, period = self.coordinates.num_velocities, self.scenario.sample_time
         states, force = np.full((count, nv + 1), np.nan), np.full((count, nv), np.nan)
-        desired, _, _ = self.motion.evaluate(np.arange(count) * period)
         loop, held = self._loop, held or {}
         try:
             with guarded, np.errstate(all="ignore"):
@@ -251,7 +250,12 @@ class Linearizer:
             raise
         except (Exception, SystemExit):
             pass
-        return position_errors(desired, states), force
+        return self.outputs.errors(np.arange(count) * period, states), force
+
+    @functools.cached_property
+    def outputs(self) -> Outputs:
+        """What the law controls."""
+        return Outputs(self.mission, self.motion, self.grip, self.coordinates, self.tracks_frame)
 
     def _warmed_up(self, index: int, held: Held) -> np.ndarray:
         """The state just before the update at a control sample, after the shortest warm-up with

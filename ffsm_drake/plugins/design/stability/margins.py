@@ -18,7 +18,12 @@ from ffsm_drake.plugins.design.stability.adaptation import (
     forecast_reaching_gain,
     is_euler,
 )
-from ffsm_drake.plugins.design.stability.linear_loop import LinearLoop, NotLinear, radius_told
+from ffsm_drake.plugins.design.stability.linear_loop import (
+    LinearLoop,
+    NotLinear,
+    at_rest,
+    radius_told,
+)
 from ffsm_drake.plugins.design.stability.linearization import POSTURES, Linearizer
 from ffsm_drake.plugins.design.stability.moving import (
     GROWN,
@@ -106,8 +111,7 @@ class Margins:
 
         With a tracked frame, the start or the end of the motion: see ``growth``.
         """
-        loops = (self.loops[0], self.loops[-1]) if self.loops[0].tracks_frame else self.loops
-        return max(loops, key=lambda loop: loop.spectral_radius)
+        return max(at_rest(self.loops), key=lambda loop: loop.spectral_radius)
 
     @property
     def growth(self) -> float:

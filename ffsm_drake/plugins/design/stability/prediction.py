@@ -13,7 +13,9 @@ from typing import Self
 import numpy as np
 
 from ffsm_drake.plugins.design.stability.adaptation import expected_gains
+from ffsm_drake.plugins.design.stability.linear_loop import at_rest
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
+from ffsm_drake.plugins.design.stability.outputs import Group
 from ffsm_drake.scenario import Scenario
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.systems.registry import Factory
@@ -29,9 +31,10 @@ class Prediction:
     """Predicted figures of a run; infinite where it would diverge."""
 
     coordinates: Coordinates
+    groups: Mapping[str, Group]  # of the outputs of the law
     spectral_radius: float  # the largest along the plan
-    rms_error: np.ndarray  # (nv,) after the settling time, rad or m
-    noise_error: np.ndarray  # (nv,) the noise's part of it, rad or m
+    rms_error: np.ndarray  # of the outputs, after the settling time, rad or m
+    noise_error: np.ndarray  # the noise's part of it, rad or m
     noise_force: np.ndarray  # (nv,) standard deviation, N m or N
     isv_by_coordinate: np.ndarray  # (nv,)
     peak_effort: np.ndarray  # (nv,) N m or N
@@ -39,8 +42,8 @@ class Prediction:
     def with_mean(
         self, error: np.ndarray, force: np.ndarray, *, period: float, settled_after: float = 5.0
     ) -> Self:
-        """With the error and the force (n, nv) of the run without noise, sampled every period
-        (s).
+        """With the errors of the outputs (n, size) and the force (n, nv) of the run without noise,
+        sampled every period (s).
         """
         if not np.isfinite(force).all():  # it diverges without noise, too
             error, force = np.full_like(error, np.inf), np.full_like(force, np.inf)
@@ -60,12 +63,15 @@ class Prediction:
         return float(self.isv_by_coordinate.sum())
 
     def by_group(self) -> dict[str, float]:
-        """Root mean square error over the coordinates of each driven group."""
-        groups = self.coordinates.driven_groups
+        """Root mean square error over each group of outputs."""
         return {
-            name: float(np.sqrt(np.mean(self.rms_error[part] ** 2)))
-            for name, part in groups.items()
+            name: float(np.sqrt(np.mean(self.rms_error[group.errors] ** 2)))
+            for name, group in self.groups.items()
         }
+
+    def isv_of(self, group: Group) -> float:
+        """Effort of a group of outputs; the groups of a frame share the effort of the joints."""
+        return group.share * float(self.isv_by_coordinate[group.forces].sum())
 
     @property
     def mean_log_error(self) -> float:
@@ -102,14 +108,18 @@ def predict_noise(linearizer: Linearizer, held: Mapping[str, np.ndarray]) -> Pre
     ``Linearizer.at``.
     """
     scenario, coordinates = linearizer.given, linearizer.coordinates
-    loops = linearizer.along(_POSTURES, held=held)
+    loops = at_rest(linearizer.along(_POSTURES, held=held))
+    loops = [linearizer.outputs.seen(loop) for loop in loops]
     responses = [loop.noise_response(scenario.num_control_periods) for loop in loops]
+    names = ("error", "frame_error") if linearizer.tracks_frame else ("error",)
+    of_outputs = [np.concatenate([response[name] for name in names]) for response in responses]
     error, force = (
-        np.sqrt(np.mean([response[name] ** 2 for response in responses], axis=0))
-        for name in ("error", "force")
+        np.sqrt(np.mean(np.square(each), axis=0))
+        for each in (of_outputs, [response["force"] for response in responses])
     )
     return Prediction(
         coordinates=coordinates,
+        groups=linearizer.outputs.groups,
         spectral_radius=max(loop.spectral_radius for loop in loops),
         rms_error=error,
         noise_error=error,

@@ -56,7 +56,8 @@ class Rehearsal:
     # by actuator: (runs,) share of the samples with less than the wanted output
     saturated: Mapping[str, np.ndarray]
     ending: Ending  # of the run in the middle by the size of its last error
-    rms_error: np.ndarray  # (nv,) after the settling time, over all runs, rad or m
+    # of the outputs of the law (``Outputs``), after the settling time, over all runs, rad or m
+    rms_error: np.ndarray
     hint: str = ""  # what makes more runs possible
 
     def __str__(self) -> str:
@@ -136,7 +137,7 @@ class _Figures(NamedTuple):
     force: np.ndarray  # (n, nv) commands, N m or N
     saturated: dict[str, float]  # share of the samples, by actuator
     ending: Ending
-    square: np.ndarray  # (nv,) mean square error after the settling time, rad^2 or m^2
+    square: np.ndarray  # mean square error of outputs after the settling time, rad^2 or m^2
 
 
 def rehearse(
@@ -262,13 +263,15 @@ def _figures(log: RunLog) -> _Figures:
     scenario, force = log.scenario, log.generalized_force
     limit = log.coordinates.vector(scenario.actuation.limit or {}, key=_LIMIT, default=np.inf)
     shares = saturated_shares(scenario, log)
-    settled = log.time > _SETTLED_AFTER
+    error, settled = log.error, log.time > _SETTLED_AFTER
+    if log.tracks_frame and log.frame_error is not None:
+        error = np.hstack([error, log.frame_error])
     settled[-1] = True  # the last error of a shorter run
     return _Figures(
         force=force,
         saturated={**shares, _LIMIT: float((np.abs(force) > limit).any(axis=1).mean())},
         ending=log.ending,
-        square=(log.error[settled] ** 2).mean(axis=0),
+        square=(error[settled] ** 2).mean(axis=0),
     )
 
 
