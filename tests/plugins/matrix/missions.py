@@ -56,8 +56,6 @@ REFUSED = {
             for start in _APPROACHES
             for driven in _UNDRIVEN
         ),
-        ({"law": "task-space law", "command": "design"}, ("task_time_delay", "gains are designed")),
-        ({"motion": "frame", "command": "plan"}, ("reference.frame", "plan")),
         *(
             (
                 {"spacecraft": two_arms, "driven": driven, factor: "plan"},
