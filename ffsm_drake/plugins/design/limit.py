@@ -2,10 +2,10 @@
 controller to it.
 
 The model is the closed loop at the middle of the planned motion, or at its end with a tracked frame
-(``at_rest``). It has the sampled true plant and
-the sensor noise of the scenario: white noise, correlated noise, and random walks of biases. An
-acceleration d with a random walk represents everything that the controller does not model. The walk
-is as fast as the planned motion and the disturbance require.
+(``at_rest``). It has the sampled true plant and the sensor noise of the scenario: white noise,
+correlated noise, and random walks of biases. An acceleration d with a random walk represents
+everything that the controller does not model. The walk is as fast as the planned motion and the
+disturbance require.
 
 The linear quadratic Gaussian (LQG) controller has the smallest mean square error for its effort.
 Effort is the force in excess of the compensating force -H d (H: mass matrix). The filter uses the

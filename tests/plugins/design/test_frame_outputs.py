@@ -56,18 +56,19 @@ def measured(scenario, groups, seeds=4):
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("name", MISSIONS)
 def test_errors_of_the_frame_are_predicted(name, law):
-    scenario = mission(name, law)
+    # noise counts half at each end of the motion, and runs are mostly at its last posture
+    scenario, allowed = mission(name, law), 0.2 if law == "task_time_delay" else 0.05
     predicted = predict(scenario)
     if name in GROUPS:
         assert set(predicted.by_group()) == GROUPS[name]
     errors, isv = measured(scenario, predicted.groups)
-    assert predicted.by_group() == pytest.approx(errors, rel=0.1)
+    assert predicted.by_group() == pytest.approx(errors, rel=allowed)
     assert predicted.isv == pytest.approx(isv, rel=0.05)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("name", ["postcapture", "free_floating"])
+@pytest.mark.parametrize("name", ["postcapture", "free_floating", "two_arms"])
 def test_noise_of_the_frame_is_that_of_runs_at_rest(name, law):
     """Without motion and disturbance, all error is due to noise."""
     rest = ["reference.goal=stop", "disturbance.amplitude_scale=0"]
