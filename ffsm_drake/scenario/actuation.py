@@ -1,6 +1,7 @@
 """The section ``actuation``: limits, thrusters, wheels and drives."""
 
 import functools
+import itertools
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -372,8 +373,8 @@ class Actuation:
         return replace(self, driven=["all"]) == Actuation()
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Check that the driven groups can be driven alone, with matching actuators and target
-        posture.
+        """Check that the driven groups can be driven alone, with matching actuators and
+        postures.
         """
         key, given, undriven = f"{key}.driven", self.driven, scenario.undriven
         distinct = len(set(given)) == len(given)
@@ -387,12 +388,13 @@ class Actuation:
                     f"{kind} act on {group}, which is not driven; remove actuation.{kind}, or add "
                     f"{group} to actuation.driven",
                 )
-        first, last = scenario.initial_posture, scenario.target_posture
-        for group, field in (("base_rotation", "base_rpy"), ("base_position", "base_position")):
-            moved = group in undriven and getattr(first, field) != getattr(last, field)
-            if moved and scenario.reference.goal != "stop":
+        for name, group in itertools.product(scenario.postures, undriven):
+            if name == "target_posture" and scenario.reference.goal == "stop":
+                continue
+            field = "base_rpy" if group == "base_rotation" else group
+            if getattr(scenario.postures[name], field) != getattr(scenario.initial_posture, field):
                 yield (
-                    f"target_posture.{field}",
+                    f"{name}.{field}",
                     f"must be as in initial_posture, because {group} is not driven; change it, or "
                     f"add {group} to actuation.driven",
                 )

@@ -50,9 +50,7 @@ class Approach:
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Check for whole samples, time left after the approach, every coordinate driven and a
-        rigid target.
-        """
+        """Check for whole samples, time left after the approach, and a rigid target."""
         for name, part in scenario.model.flexible.items():
             if part.kind not in ("joint", "gear") and part.body == scenario.payload.body:
                 yield (
@@ -60,8 +58,6 @@ class Approach:
                     f"'{part.body}' is the target, which must be rigid before the grasp; remove "
                     f"{key}",
                 )
-        if scenario.undriven:
-            yield key, "needs all coordinates driven; set actuation.driven: [all], or remove it"
         yield from sample_problems(self.duration, scenario.sample_time, f"{key}.duration")
         if scenario.grasp_time > scenario.duration - scenario.sample_time:
             yield (

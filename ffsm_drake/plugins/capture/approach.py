@@ -8,14 +8,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ffsm_drake.common.errors import LimitError
+from ffsm_drake.common.errors import LimitError, ScenarioError
 from ffsm_drake.common.steps import step
 from ffsm_drake.mission import Mission, planned
 from ffsm_drake.plugins.capture.contact import planned_contact, target_path
+from ffsm_drake.plugins.capture.floating import Backwards, floated
 from ffsm_drake.plugins.capture.phases.own import phases_before, with_phases
 from ffsm_drake.plugins.capture.postures import posture_of
 from ffsm_drake.runs.exceeded_limits import not_measured
-from ffsm_drake.scenario import EMPTY, Posture, Scenario
+from ffsm_drake.scenario import EMPTY, Posture
 from ffsm_drake.scenario.capture import Approach
 from ffsm_drake.spacecraft.clearance import shapes_of
 from ffsm_drake.spacecraft.grasp import Contact
@@ -74,14 +75,13 @@ def _clear_start(mission: Mission) -> Posture:
     best, kept, least, told = -np.inf, approach.posture, np.inf, ""
     needed = scenario.clearance + approach.margin
     wide, share_of = max(_WIDE, needed), shares_of(mission)
-    for joints, direction, length in itertools.product(
-        (kept.joints, scenario.initial_posture.joints),
-        outwards(end - X_WP.translation()),
-        _LENGTHS,
-    ):
-        place = end + length * direction
+    away, within = outwards(end - X_WP.translation()), f" within {_LENGTHS[-1]:g} m"
+    places = [end + length * each for each in away for length in _LENGTHS]
+    if scenario.undriven:  # momentum places the base
+        places, within = [end], " with the joints of posture or of the grasp"
+    for joints, place in itertools.product((kept.joints, scenario.initial_posture.joints), places):
         posture = dataclasses.replace(kept, base_position=place.tolist(), joints=joints)
-        motion = approach_motion(scenario, model, contact, posture)
+        motion = approach_motion(mission, model, contact, posture)
         # one that is nearer at any instant is neither the best nor returned
         margins = functools.partial(
             margins_of, mission, motion, path[:, :7], most=_MOST, share_of=share_of,
@@ -99,7 +99,7 @@ def _clear_start(mission: Mission) -> Posture:
         told = told or f"each needs {100.0 * least:.0f} % or more"
         raise LimitError(
             "capture.approach.start",
-            f"no start within {_LENGTHS[-1]:g} m keeps {needed:g} m from the target with "
+            f"no start{within} keeps {needed:g} m from the target with "
             f"{100.0 * _MOST:g} % of the force limits: {told}; change capture.approach.duration "
             "or margin",
             limit="clearance",
@@ -114,14 +114,18 @@ def outwards(away: np.ndarray) -> np.ndarray:
 
 
 def approach_motion(
-    scenario: Scenario, model: PlantModel, contact: Contact, posture: Posture
-) -> PolynomialMotion:
-    """The way from the grasp back to a posture, as a function of the time before the grasp."""
+    mission: Mission, model: PlantModel, contact: Contact, posture: Posture
+) -> PlannedMotion:
+    """The way from the grasp back to a posture, as a function of the time before the grasp.
+
+    Undriven coordinates keep the momentum that the servicer has at the grasp.
+    """
+    scenario = mission.scenario
     duration = scenario.approach.duration if scenario.approach else 0.0
     start = scenario.initial_posture
     if len(scenario.contacts) > 1:  # with all hands at their places
         start = posture_of(contact.q, model.coordinates)
-    return PolynomialMotion(
+    motion = PolynomialMotion(
         coordinates=model.coordinates,
         start=start,
         target=posture,
@@ -130,30 +134,22 @@ def approach_motion(
         sample_time=scenario.sample_time,
         velocity=-contact.velocity,
     )
-
-
-class Backwards(PlannedMotion):
-    """A motion from its end to its beginning."""
-
-    def __init__(self, motion: PlannedMotion, *, sample_time: float) -> None:
-        self._motion = motion
-        super().__init__(coordinates=motion.coordinates, sample_time=sample_time, end=motion.end)
-
-    def rows(self, times: np.ndarray) -> np.ndarray:
-        """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
-        rows = self._motion.rows(self.end - times)
-        first = len(self.coordinates.position_names)
-        rows[:, first : first + len(self.coordinates.names)] *= -1.0
-        return rows
+    return floated(motion, mission)
 
 
 @planned
 def planned_approach(mission: Mission) -> PlannedMotion:
     """The motion of a mission up to the grasp; errors as ``approach_posture``, ``with_phases``."""
     scenario, model = mission.scenario, mission.craft.nominal()
+    capture = scenario.capture
+    if scenario.undriven and capture is not None and capture.retreat is not None:
+        problem = (
+            "moves the base, on which no force acts; remove it, or set actuation.driven: [all]"
+        )
+        raise ScenarioError("capture.retreat", problem)
     phases_before(mission)  # before a search for a start, which takes longer
     contact, posture = planned_contact(mission, model), approach_posture(mission)
-    motion = approach_motion(scenario, model, contact, posture)
+    motion = approach_motion(mission, model, contact, posture)
     approach = Backwards(motion, sample_time=scenario.sample_time)
     return with_phases(mission, approach) if scenario.blocks.phases else approach
 

@@ -87,7 +87,7 @@ def servicer_velocity(
     at_target = target_twist(scenario, capture, model, q)
     p_WP = payload_body(scenario, model).EvalPoseInWorld(context).translation()
     twists, jacobians = list[np.ndarray](), list[np.ndarray]()
-    for hand in _hands(scenario, model):
+    for hand in grasping_hands(scenario, model):
         twists.append(at_target.copy())
         arm = hand.CalcPoseInWorld(context).translation() - p_WP
         twists[-1][3:] += np.cross(at_target[:3], arm)
@@ -105,7 +105,7 @@ def servicer_velocity(
     return v
 
 
-def _hands(scenario: Scenario, model: PlantModel) -> list[Frame]:
+def grasping_hands(scenario: Scenario, model: PlantModel) -> list[Frame]:
     """The frames of the hands that grasp at once."""
     others = closing_contacts(scenario).values()
     frames = [find_frame(model.plant, each.effector, key="contacts") for each in others]

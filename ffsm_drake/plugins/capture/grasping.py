@@ -54,7 +54,7 @@ class Aim:
         velocity = model.coordinates.vector(
             scenario.initial_velocity, key="initial_velocity", default=0.0
         )
-        if scenario.blocks.phases:
+        if scenario.blocks.phases or scenario.undriven:
             position, planned, _ = planned_approach(self.mission).evaluate(0.0)
             velocity += planned
         else:

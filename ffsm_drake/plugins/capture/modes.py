@@ -12,6 +12,7 @@ from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.common.registrations import Registry
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.approach import approach_posture
+from ffsm_drake.plugins.capture.floating import floated
 from ffsm_drake.plugins.capture.postures import posture_of
 from ffsm_drake.scenario import Reference
 from ffsm_drake.spacecraft.limits import FORCE
@@ -344,7 +345,7 @@ class Supervisor(Sampled):
             velocity=v,
         )
         if plan[2]:
-            return motion
+            return floated(motion, self.mission)
         if self.chain is None:
             return followed(self.mission, self.nominal, motion)
         return self.chain.follow(motion, float(plan[0]) - self.block.grasp_time, float(plan[3]))

@@ -3,7 +3,7 @@ from ffsm_drake.common.registrations import Plugin
 PLUGIN = Plugin(
     about="Capture of a moving target: approach, grasp, closing gripper; supervisor of a mission",
     page="capture",
-    uses=("two_arms",),
+    uses=("task_space", "two_arms"),
     brings={
         "sections": {
             "forces.gripper": "capture.gripper:Gripper",

@@ -16,6 +16,7 @@ import numpy as np
 
 from ffsm_drake.common.so3 import matrix_of, quaternion_of, turn_between
 from ffsm_drake.plugins.capture.displacement import displaced, displacement, quintic
+from ffsm_drake.plugins.capture.floating_approach import FloatingApproach
 from ffsm_drake.plugins.capture.free_body import SIZE, Target
 from ffsm_drake.plugins.capture.target_filter import Estimate, Path, TargetFilter, observed
 from ffsm_drake.scenario import Capture, Scenario
@@ -78,7 +79,10 @@ class TrackedTarget(Part):
         """The block, whose Drake system is made around it."""
         own = self.motion or make_motion(setup.mission, setup.grip)
         frame = make_frame_motion(setup.mission, setup.nominal, own)
-        return TrackedReference(part=self, motion=own, frame=frame)
+        floating = None
+        if setup.scenario.undriven:
+            floating = FloatingApproach(mission=setup.mission, motion=own)
+        return TrackedReference(part=self, motion=own, frame=frame, floating=floating)
 
     def signals(self, setup: BlockSetup) -> Sequence[Signal]:
         """The estimate at the last image, its errors and their deviations."""
@@ -178,6 +182,7 @@ class TrackedReference(Sampled):
     part: TrackedTarget
     motion: PlannedMotion  # which is displaced
     frame: FrameMotion | None  # whose pose is prescribed
+    floating: FloatingApproach | None  # of a base that is not driven
 
     @functools.cached_property
     def _filter(self) -> TargetFilter:
@@ -203,7 +208,7 @@ class TrackedReference(Sampled):
             # time, whether there is one, poses that fitted, target, covariance
             "estimate": np.zeros(3 + _ROW + SIZE * SIZE),
             # begin and end, s, whether it is the last, coefficients of the displacement
-            "plan": np.zeros(3 + 36),
+            "plan": np.zeros(3 + 36 if self.floating is None else self.floating.size),
             "shown": np.zeros(sum(_SIZES.values())),
             "abort": np.zeros(1),
         }
@@ -212,11 +217,13 @@ class TrackedReference(Sampled):
         """See Sampled."""
         row, nx = self.motion.row(now.time), self.outputs["desired_state"]
         of_frame = None if self.frame is None else self.frame.row(now.time)
-        if self.part.approached is not None:
-            c = _displacement(memory["plan"], now.time)
-            if c.any():
+        if self.part.approached is not None and memory["plan"][1]:
+            if self.floating is None:
+                c = _displacement(memory["plan"], now.time)
                 row = displaced(row, c, nx - self.outputs["desired_acceleration"])
-                of_frame = None if self.frame is None else self.frame.moved(row)
+            else:
+                row = self.floating.row(memory["plan"], now.time)
+            of_frame = None if self.frame is None else self.frame.moved(row)
         outputs = {"desired_state": row[:nx], "desired_acceleration": row[nx:]}
         outputs |= {} if of_frame is None else {"desired_frame": of_frame}
         shown = np.split(memory["shown"], np.cumsum([*_SIZES.values()])[:-1])
@@ -286,18 +293,25 @@ class TrackedReference(Sampled):
         due = time >= plan[0] + self.part.measured.replan - 1e-9 or plan[1] <= plan[0]
         if time < approached.begin - 1e-9 or plan[2] or not (due or is_last):
             return {}
-        after = dict[str, np.ndarray]()
+        after, meets = dict[str, np.ndarray](), approached.meets
         if is_last:
-            found = self._filter.predicted(found, approached.meets)
-            target, envelope = found.target, self.part.grasp.envelope
-            sizes = zip(found.pose_deviation, (envelope.angle, envelope.position), strict=True)
-            unsure = any(most is not None and _SIGMAS * size > most for size, most in sizes)
-            after["abort"] = np.array([float(unsure)])
+            found = self._filter.predicted(found, meets)
+            target = found.target
         else:
-            target = self._filter.moved(found.target, found.time, approached.meets)
-        goal, left = self._goal(target.motion, approached), approached.meets - time
-        coefficients = quintic(_displacement(plan, time), goal, left)
-        row = np.concatenate([[time, approached.meets, is_last], coefficients.ravel()])
+            target = self._filter.moved(found.target, found.time, meets)
+        if self.floating is None:
+            goal, missed = self._goal(target.motion, approached), np.zeros(2)
+            coefficients = quintic(_displacement(plan, time), goal, meets - time)
+            row = np.concatenate([[time, meets, is_last], coefficients.ravel()])
+        else:
+            row, missed = self.floating.planned(plan, time, target.motion, approached.motion, meets)
+            row[2] = is_last
+        if is_last:
+            envelope = self.part.grasp.envelope
+            sizes = missed + _SIGMAS * np.array(found.pose_deviation)
+            bounds = zip(sizes, (envelope.angle, envelope.position), strict=True)
+            unsure = any(most is not None and size > most for size, most in bounds)
+            after["abort"] = np.array([float(unsure)])
         return after | {"plan": row}
 
     def _is_last(self, time: float, approached: Approached) -> bool:

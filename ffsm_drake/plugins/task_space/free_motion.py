@@ -152,7 +152,7 @@ class FreeMotion(MomentumMotion):
         model: the plant with the nominal payload.
         sample_time: the control period, s.
         """
-        self._wanted = wanted
+        self.wanted = wanted
         coordinates = model.coordinates
         self._columns = np.concatenate(
             [[0] if coordinates.is_driven[0] else [], coordinates.driven + 1]
@@ -169,18 +169,18 @@ class FreeMotion(MomentumMotion):
 
     def instants(self, count: int) -> np.ndarray:
         """See PlannedMotion."""
-        return self._wanted.instants(count)
+        return self.wanted.instants(count)
 
     def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         """See PlannedMotion."""
-        return self._wanted.shared(times, found)
+        return self.wanted.shared(times, found)
 
     def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
-        return self._wanted.evaluate(np.array([time]))[1][0, self._driven]
+        return self.wanted.evaluate(np.array([time]))[1][0, self._driven]
 
     def driven_motion(
         self, times: np.ndarray, q: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        wanted, v, a = self._wanted.evaluate(times)
+        wanted, v, a = self.wanted.evaluate(times)
         q[:, self._columns] = wanted[:, self._columns]
         return q, v[:, self._driven], a[:, self._driven]

@@ -52,11 +52,6 @@ REFUSED = {
             if (actuators, driven) != ("wheels", "base rotation and joints")
         ),
         *(
-            ({"start": start, "driven": driven}, ("approach", "driven"))
-            for start in _APPROACHES
-            for driven in _UNDRIVEN
-        ),
-        *(
             (
                 {"spacecraft": two_arms, "driven": driven, factor: "plan"},
                 ("actuation.driven", "plan"),
@@ -74,9 +69,10 @@ REFUSED = {
         ),
         *(
             (
-                {"start": "capture from the grasp", "driven": "joints", **planned},
+                {"start": start, "driven": "joints", **planned},
                 ("actuation.driven", "momentum"),
             )
+            for start in ("capture from the grasp", *_APPROACHES)
             for planned in ({"motion": "plan"}, {"command": "plan"})
         ),
     )

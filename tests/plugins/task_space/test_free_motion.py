@@ -180,7 +180,10 @@ def test_momentum_through_a_minute_of_control():
             "wheels act on base_rotation, which is not driven",
         ),
         ([*JOINTS, "target_posture.base_rpy=[0,0,0.1]"], "base_rotation is not driven"),
-        ([*JOINTS, *TUMBLING, "capture.approach={duration: 5}"], "needs all coordinates driven"),
+        (
+            [*JOINTS, *TUMBLING, "capture.approach={duration: 5, posture: {base_rpy: [0, 0, 3]}}"],
+            "approach.posture.base_rpy: must be as in initial_posture",
+        ),
     ],
 )
 def test_bad_input(overrides, problem):

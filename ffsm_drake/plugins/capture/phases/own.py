@@ -1,6 +1,7 @@
 """Phases before an approach (``phases``, ``blocks.phases``)."""
 
 import dataclasses
+import functools
 import re
 
 import numpy as np
@@ -9,6 +10,7 @@ from ffsm_drake.common.errors import BlockError, ScenarioError
 from ffsm_drake.common.guard import calling
 from ffsm_drake.mission import Mission, planned
 from ffsm_drake.plugins.capture.displacement import Joined
+from ffsm_drake.plugins.capture.floating import before
 from ffsm_drake.runs.phases import Phase
 from ffsm_drake.scenario import EMPTY, Scenario
 from ffsm_drake.systems.planned_motion import InTurn, PlannedMotion
@@ -56,6 +58,9 @@ def phases_before(mission: Mission) -> dict[str, Phase]:
                 raise BlockError(f"{key}: its {field.name} follows from its place; leave that out")
         if "reference" in phase.blocks:
             raise BlockError(f"{key}: give its motion in place of a block 'reference'")
+        if phase.joins and scenario.undriven:
+            problem = "moves the base, on which no force acts; remove it, or set actuation.driven:"
+            raise ScenarioError(key, f"{problem} [all]")
         if phase.joins and scenario.approach is not None and scenario.approach.start == "clear":
             problem = f"must be given, because the approach begins where {key} ends"
             raise ScenarioError("capture.approach.start", problem)
@@ -64,8 +69,9 @@ def phases_before(mission: Mission) -> dict[str, Phase]:
 
 
 def with_phases(mission: Mission, approach: PlannedMotion) -> PlannedMotion:
-    """An approach with the motions of the phases before it. Raises the errors of
-    ``phases_before``, and BlockError for a motion that does not end where the next begins.
+    """An approach with the motions of the phases before it. Undriven coordinates keep the momentum
+    of the approach. Raises the errors of ``phases_before``, and BlockError for a motion that does
+    not end where the next begins.
     """
     found, scenario = phases_before(mission), mission.scenario
     period, begin = scenario.sample_time, scenario.grasp_time
@@ -80,6 +86,9 @@ def with_phases(mission: Mission, approach: PlannedMotion) -> PlannedMotion:
         if phase.joins:
             then = Joined(approach, motion.row(lasts), sample_time=period)
             motions[0] = begin, then
+        if scenario.undriven:
+            led = functools.partial(before, motion, then.row(0.0), mission, duration=lasts)
+            motion = calling(f"{key}: its motion", led)
         _check(key, motion, lasts, then)
         begin -= lasts
         motions.insert(0, (begin, motion))
