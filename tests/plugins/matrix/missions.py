@@ -205,8 +205,9 @@ def overrides_of(row, scenario, plan):
     parts = [_always(row, scenario), {"controller": _LAWS[row["law"]]}, _SENSORS[row["sensors"]]]
     parts += [{"estimator": _estimator(row)}, _BASE_ACTUATORS.get(row["base actuators"], {})]
     parts += [_start(row, scenario), _motion(row, scenario, plan)]
-    if row["spacecraft"] in _TWO_ARMS and "thrusters" in row["base actuators"]:
-        # two arms and the target need more force than 12x5N has
+    is_hard = row["start"] == "measured target" and row["motion"] == "frame"
+    if "thrusters" in row["base actuators"] and (row["spacecraft"] in _TWO_ARMS or is_hard):
+        # these missions need more force than 12x5N has
         parts.append(_BASE_ACTUATORS["thrusters"])
     if row["spacecraft"] == "later hand":
         parts.append(_LATER)
