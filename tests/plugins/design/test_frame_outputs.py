@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from ffsm_drake import load_scenario, simulate_many
+from ffsm_drake import load_scenario, make_nominal_plant, simulate_many
 from ffsm_drake.cli import main
+from ffsm_drake.plugins.design.gains.variation import _scaled, _tunable
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.prediction import Prediction, predict
+from ffsm_drake.systems.controllers import complete_gains
 
 LAWS = ("resolved_rate", "task_computed_torque", "task_time_delay")
 QUIET = {"position_noise": 1e-4, "velocity_noise": 1e-4}
@@ -83,6 +85,20 @@ def test_noise_of_the_frame_is_that_of_runs_at_rest(name, law):
     both = np.concatenate([response["error"], response["frame_error"]])
     found = {name: np.sqrt(np.mean(both[group.errors] ** 2)) for name, group in groups.items()}
     assert found == pytest.approx(errors, rel=0.15)
+
+
+def test_a_gain_of_the_frame_is_varied_as_one_number():
+    scenario = complete_gains(mission("postcapture", "task_computed_torque"))
+    names = _tunable(scenario)
+    assert {"k_p_rotation", "k_d_position", "k_p_plan"} <= {*names}
+    assert not {"damping", "speed_limit"} & {*names}
+    for name in names:
+        changed = _scaled(scenario, name, dict.fromkeys(GROUPS["postcapture"], 1.5))
+        (before, *_), (after, *_) = (
+            make_nominal_plant(each).coordinates.vector(each.gains[name], key=name)
+            for each in (scenario, changed)
+        )
+        assert after == pytest.approx(1.5 * before, rel=1e-2)
 
 
 def test_the_shares_of_effort_add_up_to_the_whole():

@@ -107,10 +107,11 @@ def _scaled(scenario: Scenario, name: str, factors: Mapping[str, float]) -> Scen
     """
     data: dict[str, Any] = scenario_to_dict(scenario)
     gains = data["controllers"][scenario.controller_key]
-    if _is_scalar(scenario, name):
-        gains[name] = rounded(gains[name] * next(iter(factors.values())))
-        return scenario_from_dict(data)
     coordinates = Craft(scenario).coordinates
+    if _is_scalar(scenario, name):
+        (value, *_), (factor, *_) = coordinates.vector(gains[name], key=name), factors.values()
+        gains[name] = {"all": rounded(float(value) * factor)}
+        return scenario_from_dict(data)
     factor = coordinates.vector(factors, key=name, default=1.0)
     place = gains if name in gains else data["estimator"]
     for key in (name, f"{name.removesuffix('_initial')}_max"):
