@@ -13,6 +13,7 @@ from ffsm_drake import (
     make_nominal_plant,
     override_scenario,
     simulate,
+    simulate_many,
 )
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture.supervisor import SupervisorPart
@@ -210,17 +211,24 @@ def test_each_phase_of_a_later_hand_has_the_path_of_the_whole_motion(closes: flo
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_captures_and_supervised_missions_settle(seed: int) -> None:
-    """With an approach or with a supervisor that damps, on Drake and compiled alike."""
+    """With an approach or with a supervisor that damps, on Drake and compiled alike. A new plan is
+    integrated from a state that differs by rounding, with a tolerance of 1e-9.
+    """
     supervised = {
         "supervisor": {"saturated_time": 0.05},
         "actuation": {"limit": {"joints": 40, "base_position": 8, "base_rotation": 8}},
         "capture": {"approach": None, "rate": [0.06, 0.05, 0.06]},
         "duration": 25.0,
     }
-    runs = check([caught(seed, *([supervised] if seed % 2 else []))])
+    scenario = caught(seed, *([supervised] if seed % 2 else []))
+    runs = [*simulate_many([scenario], engine="compiled"), *simulate_many([scenario])]
+    assert runs[0].engine == "compiled"
+    for name in ("position", "desired_position", "frame_error"):
+        found, wanted = (run.dataset[name].values for run in runs)
+        assert_allclose(found, wanted, atol=1e-6 if seed % 2 else 1e-10)
     for run in runs:
         assert run.outcome.status == "completed"
-        assert run.metrics["contacts"]["gap"] < 1e-9
+        assert run.metrics["contacts"]["gap"] < 1e-8
         assert max(run.metrics["frame"]["final"].values()) < 2e-3
         if seed % 2:
             assert run.metrics["supervisor"]["dampings"] > 0
