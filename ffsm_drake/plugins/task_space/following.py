@@ -1,5 +1,7 @@
 """Motions of a mission that follow a frame's path or the conservation of momentum."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from pydrake.math import RollPitchYaw
 
@@ -20,10 +22,13 @@ def free_motion(motion: PlannedMotion, mission: Mission, model: PlantModel) -> F
     return FreeMotion(motion, model=model, sample_time=mission.scenario.sample_time)
 
 
-def resolved_motion(motion: PlannedMotion, mission: Mission, model: PlantModel) -> ResolvedMotion:
+def resolved_motion(
+    motion: PlannedMotion, mission: Mission, model: PlantModel, given: Sequence[str] = ()
+) -> ResolvedMotion:
     """Return a motion whose joints move a frame along its path. Raises the errors of the path.
 
-    The model may be one of a closed chain, with fewer coordinates than the motion.
+    The model may be one of a closed chain, with fewer coordinates than the motion. Joints that are
+    ``given`` keep their motion.
     """
     scenario, tree = mission.scenario, mission.craft.nominal(model.grip)
     frame = goal_frame(scenario, tree.plant)
@@ -37,6 +42,7 @@ def resolved_motion(motion: PlannedMotion, mission: Mission, model: PlantModel) 
         frame=goal_frame(scenario, model.plant),
         model=model,
         sample_time=scenario.sample_time,
+        given=given,
     )
 
 

@@ -92,6 +92,7 @@ class ResolvedMotion(MomentumMotion):
         frame: Frame,
         model: PlantModel,
         sample_time: float,
+        given: Sequence[str] = (),
     ) -> None:
         """Args:
         wanted: the motion without the frame, of the model's coordinates at least.
@@ -99,15 +100,19 @@ class ResolvedMotion(MomentumMotion):
         goal: goal of the frame.
         frame: the frame.
         model, sample_time: see ``MomentumMotion``.
+        given: names of joints that move as in ``wanted``, as driven base coordinates do.
         """
         self._wanted, self._goal, self._frame = wanted, goal, frame
         self._path = self.path = path
         coordinates, names = model.coordinates, wanted.coordinates.names
         # the model's coordinates in v of the motion; a closed chain has fewer
         self._places = np.array([names.index(name) for name in coordinates.names])
-        # indices among the driven coordinates
-        self._arm = np.flatnonzero(coordinates.driven >= NUM_BASE_VELOCITIES)
-        self._base = coordinates.driven[: self._arm[0]]  # indices in v of driven base coordinates
+        # indices among the driven coordinates: of given ones, and joints of them; of the others
+        of_joints = coordinates.driven >= NUM_BASE_VELOCITIES
+        is_given = np.isin(coordinates.driven, coordinates.indices(given, key="given"))
+        self._given = np.flatnonzero(is_given | ~of_joints)
+        self._moved, self._arm = np.flatnonzero(is_given), np.flatnonzero(of_joints & ~is_given)
+        self._joints = coordinates.driven[self._arm]  # indices in v
         held = coordinates.indices(goal.hold, key="reference.frame.hold")
         # Indices among the undriven coordinates.
         self._held = np.flatnonzero(
@@ -121,11 +126,14 @@ class ResolvedMotion(MomentumMotion):
         q, v, _ = wanted.evaluate(0.0)
         v = v[self._places]
         self._posture = goal.joints == "target_posture" or goal.task == "none"
-        self._first_rate = v[NUM_BASE_VELOCITIES:]
+        self._first_rate = v[self._joints]
         stack = free_floating(model, q, [coordinates.names[i] for i in coordinates.driven])
-        self._first_reaction = stack.following[self._held][:, self._arm] @ self._first_rate
+        reaction = stack.following[self._held][:, of_joints]
+        self._first_reaction = reaction @ v[NUM_BASE_VELOCITIES:]
+        if self._moved.size:  # splines follow this motion, and it follows them
+            self.accuracy = MomentumMotion.accuracy
         # True if the base moves while the joints rest.
-        self._moves = bool(self._base.size or stack.momentum(v).any())
+        self._moves = bool(self._given.size or stack.momentum(v).any())
         super().__init__(
             model=model,
             position=q,
@@ -144,6 +152,9 @@ class ResolvedMotion(MomentumMotion):
         self, times: np.ndarray, q: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         inputs, change = self._inputs(times)
+        if self._moved.size:
+            places = 1 + self._places[self._driven[self._moved]]
+            q[:, places] = self._wanted.evaluate(times)[0][:, places]
         v = self._resolved(q, inputs).v
         # Inputs of the rates are extrapolated linearly: central differences need no more.
         every = self._model.calc_whole_velocity(q, v)
@@ -207,34 +218,34 @@ class ResolvedMotion(MomentumMotion):
         """Inputs of the joint rates beside the configuration, (n, .) each, and their rates of
         change.
 
-        Pose (quaternion, position) and twist of the frame, driven base velocities, positions and
-        rates of the joints' own motion, the gain towards these positions, 1/s, and the fraction of
-        the first reaction.
+        Pose (quaternion, position) and twist of the frame, given velocities, positions and rates of
+        the joints' own motion, the gain towards these positions, 1/s, and the fraction of the first
+        reaction.
         """
-        path, places, arm = self._path.rows(times), self._places, self._first_rate.size
+        path, places, given = self._path.rows(times), self._places, self._driven[self._given]
         turn = quaternion_rate(path[:, :4].T, path[:, 7:10].T).T
         _, slow, slower = (column[:, None] for column in self._path.blend.stop(times))
         _, speed, acceleration = (column[:, None] for column in self._path.blend.blend(times))
-        pull, rest = self._goal.feedback / self._fastest, np.zeros((times.size, arm))
+        pull, rest = self._goal.feedback / self._fastest, np.zeros((times.size, self._arm.size))
         q = v = a = rest
-        if self._posture or self._base.size:
+        if self._posture or given.size:
             q, v, a = self._wanted.evaluate(times)
             q, v, a = q[:, 1 + places], v[:, places], a[:, places]
         if self._posture:
-            joints, rate, change = (each[:, -arm:] for each in (q, v, a))
+            joints, rate, change = (each[:, self._joints] for each in (q, v, a))
             free, changing = [joints, rate, pull * speed], [rate, change, pull * acceleration]
         else:
             free = [rest, slow * self._first_rate, rest[:, :1]]
             changing = [rest, slower * self._first_rate, rest[:, :1]]
         return (
-            [path[:, :7], path[:, 7:13], v[:, self._base], *free, slow],
-            [np.hstack([turn, path[:, 10:13]]), path[:, 13:], a[:, self._base], *changing, slower],
+            [path[:, :7], path[:, 7:13], v[:, given], *free, slow],
+            [np.hstack([turn, path[:, 10:13]]), path[:, 13:], a[:, given], *changing, slower],
         )
 
     def _resolved(self, q: np.ndarray, inputs: Sequence[np.ndarray]) -> _Resolved:
         """Solution in configurations (n, nq) for ``_inputs``."""
         arm, count = self._arm, self._arm.size
-        pose, twist, base, joints, rate, pull, slow = inputs
+        pose, twist, given, joints, rate, pull, slow = inputs
         q = q.copy()
         q[:, :4] /= np.sqrt((q[:, :4] * q[:, :4]).sum(axis=1, keepdims=True))
         stack = self._stack(q)
@@ -242,12 +253,17 @@ class ResolvedMotion(MomentumMotion):
         error = position_errors(pose, self._model.calc_frame_pose(q, self._frame))[:, self._task]
         feedback = self._goal.feedback * error
         feedback /= np.sqrt(1.0 + (feedback * feedback).sum(axis=1, keepdims=True) / self._most**2)
-        v = np.zeros((len(q), self._places.size))  # with the joints at rest
+        v = np.zeros((len(q), self._places.size))  # with the other joints at rest
         if self._moves:
-            v = stack.velocity(np.hstack([base, v[:, -count:]]), self._momentum)
-        following = stack.following[..., arm]
+            driven = np.zeros((len(q), self._driven.size))
+            driven[:, self._given] = given
+            v = stack.velocity(driven, self._momentum)
+        following, reaction = stack.following[..., arm], slow * self._first_reaction
+        if self._moved.size:
+            moved = stack.following[:, self._held][..., self._moved]
+            reaction = reaction - _times(moved, v[:, self._driven[self._moved]])
         tasks = [
-            (following[:, self._held], slow * self._first_reaction, 0.0),
+            (following[:, self._held], reaction, 0.0),
             (
                 jacobian[..., stack.driven[arm]] + jacobian[..., stack.undriven] @ following,
                 twist[:, self._task] + feedback - _times(jacobian, v),
@@ -274,7 +290,7 @@ class ResolvedMotion(MomentumMotion):
                 right, inverse * _times(np.swapaxes(left, 1, 2), target - _times(matrix, rates))
             )
             free = free - (right * (inverse * sizes)[:, None]) @ np.swapaxes(right, 1, 2)
-        rates = rates + _times(free, rate + pull * (joints - q[:, 1 + self._places[-count:]]))
-        v[:, NUM_BASE_VELOCITIES:] = rates
+        rates = rates + _times(free, rate + pull * (joints - q[:, 1 + self._places[self._joints]]))
+        v[:, self._joints] = rates
         v[:, stack.undriven] += _times(following, rates)
         return _Resolved(v, smallest, error)

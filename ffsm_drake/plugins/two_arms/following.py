@@ -5,6 +5,8 @@ that is open at the start comes to its place by a polynomial of fifth order in i
 with the position, velocity and acceleration of the closed chain there.
 """
 
+import functools
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -24,6 +26,7 @@ from ffsm_drake.systems.planned_motion import PlannedMotion
 
 _NODES, _MOST_NODES = 128, 2048
 _ACCURATE = 1e-10  # m, rad: gap between the nodes
+_AT_REST = 1e-7  # rad/s, m/s: of a motion that has ended
 _LEAST = 1.0  # s, of the spline of a hand that closes when the motion has ended
 SINGULAR = 0.01  # singular value of an arm's Jacobian below which no motion is planned
 
@@ -56,27 +59,30 @@ class Following(PlannedMotion):
         nq, nv = self.coordinates.num_positions, self.coordinates.num_velocities
         row = motion.rows(np.zeros(1))[0]
         chain = ClosedChain(nominal, scenario, ALL_HANDS, true=False)
-        close, self._arms = Closing(chain, [row[:nq]], motion.end), list[Reach]()
+        close, self.arms = Closing(chain, [row[:nq]], motion.end), list[Reach]()
         end = period * samples_to(motion.end, period)
         begins = {each: each - since for each in closings}
         if closed is not None:
             begins = {each: max(each - since, end) if each > closed else 0.0 for each in closings}
         self._loads = Loads(scenario, nominal, begins)
 
-        def rest(time: float) -> np.ndarray:
-            joints: np.ndarray = motion.rows(np.array([time]))[0, NUM_BASE_POSITIONS:nq]
-            return joints
+        def rest(times: np.ndarray) -> np.ndarray:
+            return motion.rows(times)[:, NUM_BASE_POSITIONS:nq]
 
+        left = scenario.duration - scenario.grasp_time - since
+        drifts = np.abs(motion.rows(np.array([motion.end]))[0, nq : nq + nv]).max() > _AT_REST
         for loop in chain.loops:
             begin = begins[loop.contact.closes]
-            arm = Arm(close, loop, rest)
-            own = fitted(begin, max(motion.end, begin + _LEAST), arm.solve, arm.error)
+            arm, marks = Arm(close, loop, rest), [begin, max(motion.end, begin + _LEAST)]
+            if drifts and left > marks[-1] + SOON:
+                marks.append(left)
+            own = fitted(marks, arm.solve, arm.error)
             velocity = row[nq : nq + nv][loop.joints]
-            self._arms.append(Reach(loop.joints, arm.first, own.t, own.c, velocity))
+            self.arms.append(Reach(loop.joints, arm.first, own.t, own.c, velocity))
 
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
-        return with_arms(self, self._motion.rows(times), self._arms, times)
+        return with_arms(self, self._motion.rows(times), self.arms, times)
 
     def remarks(self) -> list[str]:
         """See PlannedMotion."""
@@ -127,7 +133,8 @@ class Reach:
         """Args: indices in v; positions at the start; a spline from the grasp on; velocities at the
         start.
         """
-        self.joints, spline = joints, BSpline(knots, values, k=5)
+        self.joints, self.values, spline = joints, values, BSpline(knots, values, k=5)
+        self._given = first, knots, velocity
         self._closed = spline, spline.derivative(), spline.derivative(2)
         self._closes, self._end = knots[0], knots[-1]
         self._open: tuple[BSpline | BPoly, ...] = self._closed
@@ -135,6 +142,11 @@ class Reach:
             ends = [first, velocity, 0.0 * first], [each(knots[0]) for each in self._closed]
             open_ = BPoly.from_derivatives([0.0, self._closes], ends)
             self._open = open_, open_.derivative(), open_.derivative(2)
+
+    def with_values(self, values: np.ndarray) -> "Reach":
+        """The motion with other values of its spline, in any shape."""
+        first, knots, velocity = self._given
+        return Reach(self.joints, first, knots, values.reshape(self.values.shape), velocity)
 
     def at(self, times: np.ndarray) -> list[np.ndarray]:
         """Positions, velocities and accelerations (n, joints each) at times (n)."""
@@ -197,48 +209,49 @@ class Arm:
         """Its joints (m, k) with the loop closed, near those of the first guess where it closes,
         or of a later one.
         """
-        starts, failed = list[np.ndarray](), list[ScenarioError]()
+        starts, failed, rest = list[np.ndarray](), list[ScenarioError](), self._rest(s)
         for guess in self._closing.guesses:
             try:
-                starts.append(self._closed(s[0], guess[self._places]))
+                starts.append(self._closed(s[0], rest[0], guess[self._places]))
             except ScenarioError as error:
                 failed.append(error)
         if not starts:
             raise failed[0]
         found = [min(starts, key=lambda each: np.abs(each - self.first).max())]
-        for each in s[1:]:
-            found.append(self._closed(each, found[-1]))
+        for each, others in zip(s[1:], rest[1:], strict=True):
+            found.append(self._closed(each, others, found[-1]))
         return np.array(found)
 
-    def _closed(self, s: float, joints: np.ndarray) -> np.ndarray:
-        q = self._closing.close(s, self._whole(s, joints), [self._loop])
+    def _closed(self, s: float, rest: np.ndarray, joints: np.ndarray) -> np.ndarray:
+        q = self._closing.close(s, self._whole(rest, joints), [self._loop])
         return q[self._places]
 
-    def _whole(self, s: float, joints: np.ndarray) -> np.ndarray:
-        q = np.concatenate([[1.0], np.zeros(6), self._rest(s)])
+    def _whole(self, rest: np.ndarray, joints: np.ndarray) -> np.ndarray:
+        q = np.concatenate([[1.0], np.zeros(6), rest])
         q[self._places] = joints
         return q
 
     def error(self, s: np.ndarray, joints: np.ndarray) -> float:
         """The largest gap (m, rad) for its joints (m, k)."""
         worst = 0.0
-        for each, own in zip(s, joints, strict=True):
-            gap = self._loop.closure.gap(self._closing.chain.model, self._whole(each, own))
+        for rest, own in zip(self._rest(s), joints, strict=True):
+            gap = self._loop.closure.gap(self._closing.chain.model, self._whole(rest, own))
             worst = max(worst, np.abs(gap).max())
         return worst
 
 
-def fitted(
-    begin: float, end: float, solve: Callable[..., Any], error: Callable[..., Any]
-) -> BSpline:
-    """The spline of fifth order through solutions at path parameters, with as many nodes as its
-    error between them asks for.
+def fitted(marks: Sequence[float], solve: Callable[..., Any], error: Callable[..., Any]) -> BSpline:
+    """The spline of fifth order through solutions at path parameters, one from each mark to the
+    next, with as many nodes as its error between them asks for.
     """
     nodes = _NODES
     while True:
-        s = np.linspace(begin, end, nodes + 1)
-        found = make_interp_spline(s, solve(s), k=5)
-        between = 0.5 * (s[1:] + s[:-1])
+        parts = [np.linspace(*pair, nodes + 1) for pair in itertools.pairwise(marks)]
+        values = np.split(solve(np.concatenate(parts)), len(parts))
+        splines = list(map(functools.partial(make_interp_spline, k=5), parts, values))
+        knots = [splines[0].t, *(each.t[6:] for each in splines[1:])]
+        found = BSpline(np.concatenate(knots), np.concatenate([each.c for each in splines]), k=5)
+        between = np.concatenate([0.5 * (s[1:] + s[:-1]) for s in parts])
         if nodes >= _MOST_NODES or error(between, found(between)) < _ACCURATE:
             return found
         nodes *= 2

@@ -1,25 +1,30 @@
 """A motion of the closed chain whose frame follows a path (``reference.frame``).
 
 The rates along the path are resolved in the minimal velocities of the hands that hold the target
-from the start. Hands that close later come to their places as in ``following``.
+from the start. Hands that close later come to their places as in ``following``. They move a base
+that is not driven, and the base moves the arm that carries the target, so both are found together.
 """
+
+import copy
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
-from ffsm_drake.mission import Mission
+from ffsm_drake.mission import Mission, planned
+from ffsm_drake.plugins.task_space.following import resolved_motion
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, joints_to
 from ffsm_drake.plugins.two_arms.chain_model import ChainModel, model_at
 from ffsm_drake.plugins.two_arms.closed_motion import ClosedMotion
-from ffsm_drake.plugins.two_arms.following import Following, span
+from ffsm_drake.plugins.two_arms.following import Following, Reach, span, with_arms
 from ffsm_drake.scenario.contacts import ALL_HANDS, Grip
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.frame_path import goal_frame
 from ffsm_drake.systems.planned_motion import PlannedMotion
-from ffsm_drake.systems.reference import FOLLOWERS
 
 _KEY = "reference.frame"
+_ROUNDS, _SAME = 30, 1e-10  # steps, at most; change of joints that ends them, rad or m
 
 
 def framed_motion(
@@ -46,39 +51,91 @@ def framed_motion(
         if np.isin(own, loop.joints).any():
             problem = f"is on the arm of contacts.{loop.name}, which follows; name a frame of the"
             raise ScenarioError(f"{_KEY}.frame", f"{problem} target or of the other arm")
-    is_late = len(hands) > len(held.loops)
-    if is_late and scenario.undriven:
-        late = next(loop.name for loop in hands if loop.contact.closes)
-        problem = "with reference.frame needs a base with actuators, because the arm moves the base"
-        raise ScenarioError(f"contacts.{late}.closes", f"{problem} and the base moves its place")
+    held_by = [loop.name for loop in held.loops]
+    late = [loop for loop in hands if loop.name not in held_by]
+    names = np.array(nominal.coordinates.names)
+    given = [str(names[i]) for loop in late for i in loop.joints] if scenario.undriven else []
     first = motion.evaluate(0.0)[0]
     posture, model = held.closed(first), nominal
     if held.loops:
         model = model_at(scenario, held, posture)
     period, moved = scenario.sample_time, posture - first
-    made = FOLLOWERS.load(_KEY, _KEY)(_Moved(motion, moved, period), mission, model)
-    if isinstance(model, ChainModel):
-        made = _OfTree(made, model, nominal.coordinates, period)
-    if not is_late and closed is None:
-        return ClosedMotion(made, mission, nominal)
-    found = Following(made, mission, nominal, since=since, closed=closed)
+
+    def resolved(arms: Sequence[Reach]) -> PlannedMotion:
+        wanted = _Moved(motion, moved, arms, period)
+        made: PlannedMotion = resolved_motion(wanted, mission, model, given)
+        if isinstance(model, ChainModel):
+            made = _OfTree(made, model, nominal.coordinates, period)
+        return made
+
+    if not late and closed is None:
+        return ClosedMotion(resolved([]), mission, nominal)
+
+    def follow(arms: Sequence[Reach]) -> Following:
+        return Following(resolved(arms), mission, nominal, since=since, closed=closed)
+
+    kept = _kept(mission, motion.end) if closed is None else []
+    if given and not kept:
+        kept.append(_consistent(follow, late[0].name))
+    found = copy.copy(kept[0]) if given else follow([])
     if closed is None:
-        found.begin, found.end = span(scenario, nominal.grip, made.end)
+        found.begin, found.end = span(scenario, nominal.grip, found.end)
     return found
+
+
+@planned
+def _kept(mission: Mission, end: float) -> list[Following]:
+    """A cache: the motion to an end (s), which all phases share."""
+    return []
+
+
+def _consistent(follow: Callable[[Sequence[Reach]], Following], name: str) -> Following:
+    """A motion that has the arms for which it is made, by a fixed-point iteration that begins with
+    the arms' own motion. Raises ScenarioError: there is none.
+
+    A step is the combination of those before with the least change (Anderson 1965,
+    doi:10.1145/321296.321305).
+    """
+    arms, used, made = follow([]).arms, list[np.ndarray](), list[np.ndarray]()
+    change = np.inf
+    for _ in range(_ROUNDS):
+        found = follow(arms)
+        sizes = [each.values.size for each in found.arms]
+        if sizes != [each.values.size for each in arms]:  # other nodes
+            arms, used, made = found.arms, [], []
+            continue
+        used.append(np.concatenate([each.values.ravel() for each in arms]))
+        made.append(np.concatenate([each.values.ravel() for each in found.arms]))
+        changes = np.subtract(made, used)
+        change = np.abs(changes[-1]).max()
+        if change < _SAME:
+            found.arms = arms  # base and carrying arm have been made for these
+            return found
+        share = np.linalg.lstsq(np.diff(changes, axis=0).T, changes[-1], rcond=None)[0]
+        parts = np.split(made[-1] - share @ np.diff(made, axis=0), np.cumsum(sizes)[:-1])
+        arms = [each.with_values(own) for each, own in zip(found.arms, parts, strict=True)]
+    raise ScenarioError(
+        f"contacts.{name}.closes",
+        f"with {_KEY}, the place of its hand on a base that the arm moves is not found: it changes "
+        f"by {change:.2g} rad or m after {_ROUNDS} steps; close later, or lengthen "
+        "reference.duration",
+    )
 
 
 class _Moved(PlannedMotion):
     """A motion with its positions moved, so that the loops are closed at the start."""
 
-    def __init__(self, motion: PlannedMotion, change: np.ndarray, period: float) -> None:
-        self._motion, self._change = motion, change
+    def __init__(
+        self, motion: PlannedMotion, change: np.ndarray, arms: Sequence[Reach], period: float
+    ) -> None:
+        self._motion, self._change, self._arms = motion, change, arms
         super().__init__(coordinates=motion.coordinates, sample_time=period, end=motion.end)
 
     def rows(self, times: np.ndarray) -> np.ndarray:
         """[q_d; v_d; dv_d/dt] (n, nq + 2 nv) at times (n,)."""
         rows = self._motion.rows(times)
         rows[:, : self._change.size] += self._change
-        return rows
+        return with_arms(self, rows, self._arms, times)
 
 
 class _OfTree(PlannedMotion):

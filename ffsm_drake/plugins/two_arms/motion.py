@@ -118,13 +118,13 @@ def _path(
     time (s), to ``end``; then of the arm of each late hand, from its grasp on.
     """
     follower = _Follower(mission, velocity, end)
-    whole = fitted(0.0, end, follower.solve, follower.error)
+    whole = fitted([0.0, end], follower.solve, follower.error)
     every = np.arange(whole.c.shape[1]) + NUM_BASE_VELOCITIES
     found = [(every, whole.c[0], whole.t, whole.c)]
     for loop in follower.later:
         begin = loop.contact.closes
         arm = Arm(follower.closing, loop, lambda s: whole(np.minimum(s, end)))
-        own = fitted(begin, max(end, begin + 1.0), arm.solve, arm.error)
+        own = fitted([begin, max(end, begin + 1.0)], arm.solve, arm.error)
         found.append((loop.joints, arm.first, own.t, own.c))
     return found
 
