@@ -9,10 +9,9 @@ import pytest
 from numpy.testing import assert_allclose
 from pydrake.systems.framework import LeafSystem
 
-from ffsm_drake import BlockError, load_scenario
+from ffsm_drake import load_scenario
 from ffsm_drake.loop.closed_loop import make_closed_loop
 from ffsm_drake.mission import make_mission
-from ffsm_drake.plugins.design.gains import design
 from ffsm_drake.plugins.design.stability.boundaries import with_gains
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.task_space.tasks import TaskSpace
@@ -422,11 +421,3 @@ def test_momentum_over_a_minute():
     for name in ("linear_momentum", "angular_momentum"):
         values = data[name].values
         assert np.abs(values - values[0]).max() < 1e-11 * np.linalg.norm(values[0])
-
-
-def test_gains_of_a_frame_are_not_designed():
-    with pytest.raises(
-        BlockError,
-        match="task_computed_torque tracks a frame; gains are designed for errors of coord",
-    ):
-        design(scenario_of("controller=task_computed_torque", "reference.duration=4", "duration=5"))
