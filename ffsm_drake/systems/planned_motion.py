@@ -71,10 +71,14 @@ class PlannedMotion(abc.ABC):
         """
         q, v, a = self.evaluate(times)
         force = model.calc_tracking_force(q, v, a) - push
-        return self.shared(times, {POSITION: q[:, 1:], RATE: v, FORCE: force})
+        return self.shared(times, {POSITION: q[:, 1:], RATE: v, FORCE: force}, (q, v, a))
 
-    def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """``demand`` of the tree, with what the loops of a closed chain change."""
+    def shared(
+        self, times: np.ndarray, found: dict[str, np.ndarray], state: Sequence[np.ndarray]
+    ) -> dict[str, np.ndarray]:
+        """``demand`` of the tree, with what the loops of a closed chain change, where the whole
+        moves as q, v, a (n, ...).
+        """
         return found
 
     def part(self, share: float) -> float:
@@ -149,7 +153,9 @@ class InTurn(PlannedMotion):
         """See PlannedMotion: of the last motion."""
         return self._motions[-1][1].remarks()
 
-    def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def shared(
+        self, times: np.ndarray, found: dict[str, np.ndarray], state: Sequence[np.ndarray]
+    ) -> dict[str, np.ndarray]:
         """See PlannedMotion: the target is held in the last motion."""
         begin, last = self._motions[-1]
-        return last.shared(times - begin, found)
+        return last.shared(times - begin, found, state)

@@ -21,7 +21,6 @@ from ffsm_drake.spacecraft.coordinates import (
     NUM_BASE_VELOCITIES,
     position_errors,
 )
-from ffsm_drake.spacecraft.limits import FORCE
 from ffsm_drake.spacecraft.nominal import PlantModel, damping_of
 from ffsm_drake.systems.plan import DEGREE, Plan
 from ffsm_drake.systems.reference import make_motion
@@ -51,6 +50,7 @@ class ChainDynamics:
     """
 
     turns = False
+    joints: slice | None
 
     def __init__(
         self, mission: Mission, model: PlantModel, first: RotationMatrix, limits: MotionLimits
@@ -60,6 +60,7 @@ class ChainDynamics:
         self._model = model
         self._first, self._damping = first.matrix(), damping_of(model.plant)[:, None]
         self.order = np.concatenate([self.chain.free, self.chain.following])
+        self.planned = np.intersect1d(self.chain.free, model.coordinates.driven)
         own = self.chain.following
         lower, upper = np.maximum(limits.lower[own], -_ANY), np.minimum(limits.upper[own], _ANY)
         self._middle, self._half = 0.5 * (upper + lower)[:, None], 0.5 * (upper - lower)[:, None]
@@ -89,16 +90,10 @@ class ChainDynamics:
         ]
         return np.vstack([tau[self.order], *extra, joints])
 
-    def used(self, *motion: np.ndarray, force: np.ndarray) -> np.ndarray:
-        """Shares (n, rows) of limits of force, and of 1, for z_f and its derivatives (nf, n)."""
-        most = np.concatenate([force, np.ones(self.extra)])
-        shares: np.ndarray = np.abs(self.calc(*motion)[: most.size].T) / most
-        return shares
-
     def along(
         self, mission: Mission, duration: float, first: np.ndarray
     ) -> Callable[[np.ndarray], np.ndarray]:
-        """z_f (n, nf) by the shares (n,) of a duration, s, along the polynomial of the target.
+        """The driven z_f (n, planned) by the shares (n,) of a duration, s, along a polynomial.
 
         Args: ..., the first attitude, a quaternion. Raises ScenarioError: no such motion.
         """
@@ -111,7 +106,7 @@ class ChainDynamics:
             q = motion.evaluate(motion.begin + share * (motion.end - motion.begin))[0]
             self.chain.learn(q[:, NUM_BASE_POSITIONS:].T)
             turns = position_errors(q, np.concatenate([first, q[0, 4:]])[None])[:, :3]
-            return np.hstack([turns, q[:, 4:]])[:, self.chain.free]
+            return np.hstack([turns, q[:, 4:]])[:, self.planned]
 
         return z
 
@@ -125,11 +120,3 @@ class ChainDynamics:
         points = plan.control_points.copy()
         points[:, self.chain.following] = np.linalg.lstsq(basis, followed.T, rcond=None)[0]
         return dataclasses.replace(plan, control_points=points)
-
-    def evaluated(self, plan: Plan, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rows [q; v; dv/dt] (n, nq + 2 nv), forces (n, nv) and wrenches (n, 6 for each contact) of
-        the motion along a plan, at times (n,), s.
-        """
-        motion = self.chain.along(plan)
-        found = motion.demand(self._model, times)
-        return motion.rows(times), found[FORCE], found["contact_wrench"]

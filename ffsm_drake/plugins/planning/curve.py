@@ -10,8 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from pydrake.autodiffutils import ExtractValue, InitializeAutoDiff
 
-from ffsm_drake.plugins.planning.chain_dynamics import ChainDynamics
-from ffsm_drake.plugins.planning.inverse_dynamics import FreeDynamics, InverseDynamics, complex_step
+from ffsm_drake.plugins.planning.inverse_dynamics import Dynamics, complex_step
 from ffsm_drake.systems.plan import DEGREE
 
 INSTANTS = 3  # per segment, at which force and clearance are evaluated
@@ -22,7 +21,7 @@ class Curve:
 
     def __init__(
         self,
-        dynamics: InverseDynamics | FreeDynamics | ChainDynamics,
+        dynamics: Dynamics,
         size: int,
         segments: int,
         evaluated: Callable[[np.ndarray], None],

@@ -16,6 +16,7 @@ the base, whose attitude is the product of its small rotations.
 
 import itertools
 from collections.abc import Callable
+from typing import Protocol
 
 import numpy as np
 from pydrake.math import RotationMatrix
@@ -28,7 +29,7 @@ from ffsm_drake.plugins.tape.arrays import inputs
 from ffsm_drake.plugins.tape.numbers import Tape
 from ffsm_drake.plugins.tape.programs import Program
 from ffsm_drake.runs.engine import NotCovered
-from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
+from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES
 from ffsm_drake.spacecraft.nominal import PlantModel, damping_of
 
 _BASE = slice(0, NUM_BASE_VELOCITIES)
@@ -86,12 +87,27 @@ def in_world_axes(R_WB: np.ndarray, tau: np.ndarray) -> np.ndarray:
     return tau
 
 
+class Dynamics(Protocol):
+    """Forces of motions of z."""
+
+    turns: bool  # whether the base's rotation follows, by conservation of momentum
+    extra: int  # rows after the forces whose sizes are at most 1
+    joints: slice | None  # rows of all joints; None: the last ones of z
+
+    def calc(self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
+        """The rows (n columns), first forces, for z and its time derivatives (size, n).
+
+        Complex arrays pass.
+        """
+        ...
+
+
 class InverseDynamics:
     """Generalized force tau = H dv/dt + C + d v of a motion, d being the joints' damping."""
 
-    turns = False  # True if the base's rotation is a coordinate of the motion
-    extra = 0  # rows after the forces whose sizes are at most 1
-    joints: slice | None = None  # rows of all joints; None: the last ones of z
+    turns = False
+    extra = 0
+    joints: slice | None = None
 
     def __init__(self, model: PlantModel, first: RotationMatrix) -> None:
         """Args:
@@ -105,7 +121,6 @@ class InverseDynamics:
         except NotCovered as error:
             raise ModelError(f"the motion cannot be planned: {error}") from error
         tree, own = reader.tree, reader.parameters(model.context)
-        self.mass = model.plant.CalcTotalMass(model.context)  # kg
         self._damping = damping_of(model.plant)[:, None]
         tape, nv = Tape(), tree.num_velocities
         joints, v, a = (
@@ -129,19 +144,22 @@ class InverseDynamics:
 class FreeDynamics:
     """Force on driven coordinates z_a: joints, perhaps after the base's rotation vector."""
 
-    extra = 0  # as InverseDynamics
-    joints: slice | None = None
-
-    def __init__(self, dynamics: InverseDynamics, coordinates: Coordinates) -> None:
-        """Args: of all coordinates; which there are."""
-        self._dynamics, self._driven = dynamics, coordinates.driven
-        self._size = coordinates.num_velocities
-        self.turns = not coordinates.is_driven[0]  # whether the base's rotation follows
+    def __init__(self, dynamics: Dynamics, driven: np.ndarray, size: int, mass: float) -> None:
+        """Args: of all z, which begins with the base; indices in z of what is driven; the size of
+        z; the mass of the whole, kg.
+        """
+        self._dynamics, self._driven, self._size, self._mass = dynamics, driven, size, mass
+        self._undriven = np.setdiff1d(np.arange(size), driven)
+        self.turns, self.extra = 0 not in driven, dynamics.extra
+        self.joints = joints = dynamics.joints
+        if joints is not None:
+            fewer = self._undriven.size
+            self.joints = slice(joints.start - fewer, joints.stop - fewer)
 
     def calc(self, z: np.ndarray, rate: np.ndarray, acceleration: np.ndarray) -> np.ndarray:
-        """tau_a (na, n) for z_a and its time derivatives (na, n).
+        """The rows without forces on what is not driven, for z_a and its time derivatives (na, n).
 
-        Where the base's rotation follows, below it w_WB and alpha_WB: (na + 6, n), in axes that go
+        Where the base's rotation follows, below them w_WB and alpha_WB (6, n), in axes that go
         with the base and are the world's when its attitude is R_0. Complex arrays pass.
         """
         count = z.shape[1]
@@ -150,8 +168,8 @@ class FreeDynamics:
         force = self._dynamics.calc
         if not self.turns:
             speeding[3:NUM_BASE_VELOCITIES] = -force(whole, moving, speeding)[3:NUM_BASE_VELOCITIES]
-            speeding[3:NUM_BASE_VELOCITIES] /= self._dynamics.mass
-            return force(whole, moving, speeding)[self._driven]
+            speeding[3:NUM_BASE_VELOCITIES] /= self._mass
+            return np.delete(force(whole, moving, speeding), self._undriven, axis=0)
         # The momentum of unit rates about each axis, and of the joints' rates: forces of such
         # accelerations at rest.
         units = np.zeros((self._size, 4, count), dtype=z.dtype)
@@ -164,11 +182,12 @@ class FreeDynamics:
         inertia = np.zeros((count, 6, 6), dtype=z.dtype)  # H_uu
         inertia[:, :, :3] = momentum[:, :3].transpose(2, 0, 1)
         inertia[:, :3, 3:] = inertia[:, 3:, :3].transpose(0, 2, 1)
-        inertia[:, [3, 4, 5], [3, 4, 5]] = self._dynamics.mass
+        inertia[:, [3, 4, 5], [3, 4, 5]] = self._mass
         moving[:3] = -np.linalg.solve(inertia, momentum[:, 3].T[..., None])[:, :3, 0].T
         wrench = force(whole, moving, speeding)[_BASE]
         speeding[_BASE] = -np.linalg.solve(inertia, wrench.T[..., None])[..., 0].T
-        return np.vstack([force(whole, moving, speeding)[self._driven], moving[:3], speeding[:3]])
+        found = np.delete(force(whole, moving, speeding), self._undriven, axis=0)
+        return np.vstack([found, moving[:3], speeding[:3]])
 
 
 def turned(

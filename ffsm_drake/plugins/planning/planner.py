@@ -16,7 +16,7 @@ from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.planning.chain_dynamics import PLANNED_CHAINS, ChainDynamics
 from ffsm_drake.plugins.planning.curve import INSTANTS
 from ffsm_drake.plugins.planning.ends import Ends
-from ffsm_drake.plugins.planning.inverse_dynamics import FreeDynamics, InverseDynamics
+from ffsm_drake.plugins.planning.inverse_dynamics import Dynamics, FreeDynamics, InverseDynamics
 from ffsm_drake.plugins.planning.motion_limits import (
     Margin,
     margins,
@@ -34,9 +34,10 @@ from ffsm_drake.spacecraft.coordinates import (
     position_errors,
 )
 from ffsm_drake.spacecraft.free_floating import free_floating
+from ffsm_drake.spacecraft.limits import FORCE
 from ffsm_drake.spacecraft.plant import configuration
 from ffsm_drake.systems.plan import DEGREE, Plan
-from ffsm_drake.systems.planned_motion import PathMotion
+from ffsm_drake.systems.planned_motion import PathMotion, PlannedMotion
 from ffsm_drake.systems.start import velocity_at_start
 
 _FINE = 8 * INSTANTS  # instants per segment, at which a plan is checked
@@ -104,13 +105,17 @@ class _Planner:
         self._rate = velocity_at_start(mission, model)
         first = RotationMatrix(Quaternion(self._start[:4]))
         self._planned = order = model.coordinates.driven  # indices of the z that is planned
-        self._dynamics: InverseDynamics | ChainDynamics = InverseDynamics(model, first)
+        self._dynamics: Dynamics = InverseDynamics(model, first)
+        self._chain: ChainDynamics | None = None
+        free = np.arange(model.coordinates.num_velocities)  # all but followers
         if len(scenario.contacts) > 1:
-            if scenario.undriven:
-                problem = "a plan of several hands moves the base with actuators; add the base"
-                raise ScenarioError("actuation.driven", problem)
-            self._dynamics = chain = ChainDynamics(mission, model, first, self._limits)
-            self._start, self._planned, order = chain.chain.start, chain.chain.free, chain.order
+            self._dynamics = self._chain = of = ChainDynamics(mission, model, first, self._limits)
+            self._start, self._planned, free = of.chain.start, of.planned, of.chain.free
+            order = np.concatenate([of.planned, of.chain.following])
+        if scenario.undriven:
+            driven = np.searchsorted(free, self._planned)
+            mass = model.plant.CalcTotalMass(model.context)
+            self._dynamics = FreeDynamics(self._dynamics, driven, free.size, mass)
         self._own_limits = self._limits.of(order)
         if scenario.reference.duration is None:
             raise ScenarioError(
@@ -165,15 +170,11 @@ class _Planner:
         """Return the plan from the first guess that leads to one. Raises PlanningError if none
         does.
         """
-        undriven = bool(self._scenario.undriven)
-        dynamics = None
-        if undriven and isinstance(self._dynamics, InverseDynamics):
-            dynamics = FreeDynamics(self._dynamics, self._model.coordinates)
         # An impulse limit leaves no room for a detour; without, that comes first.
-        straight = self._scenario.planning.impulse_limit or undriven
+        straight = self._scenario.planning.impulse_limit or self._scenario.undriven
         failures = []
         for angle in (0.0, _DETOUR) if straight else (_DETOUR, 0.0):
-            problem = self._problem(dynamics or self._dynamics)
+            problem = self._problem()
             found, said = self._solved(problem, self._first_guess(problem, angle))
             if not found.exceeded:
                 return self._settled(found)
@@ -219,7 +220,7 @@ class _Planner:
         self._kept = 0.5 * self._time_left
         return problem.solve(unknowns, moving=moving)
 
-    def _problem(self, dynamics: InverseDynamics | FreeDynamics | ChainDynamics) -> PlanningProgram:
+    def _problem(self) -> PlanningProgram:
         scenario = self._scenario
 
         def report(evaluations: int, duration: float, worst: float) -> None:
@@ -230,7 +231,7 @@ class _Planner:
 
         ends = self._ends
         return PlanningProgram(
-            dynamics=dynamics, planning=scenario.planning, limits=self._own_limits,
+            dynamics=self._dynamics, planning=scenario.planning, limits=self._own_limits,
             start=ends.start, rate=ends.rate, goal=ends.goal, end=ends.frame,
             shortest=scenario.sample_time,
             longest=self._longest, clearance=self._clearance if scenario.clearance > 0.0 else None,
@@ -268,8 +269,8 @@ class _Planner:
         """z of what is planned (n, size) by the shares (n,) of a duration, s, along a fifth-order
         polynomial.
         """
-        if isinstance(self._dynamics, ChainDynamics):
-            return self._dynamics.along(self._mission, duration, self._start[:4])
+        if self._chain is not None:
+            return self._chain.along(self._mission, duration, self._start[:4])
         return self._ends.polynomial(duration)
 
     def _solved(
@@ -293,18 +294,17 @@ class _Planner:
             used = {margin.quantity: margin for margin in found.margins}
             turn, near = used.get("turn"), used.get("clearance")
             problem.tighten(
-                self._rows_in_use(found),
+                self._rows_in_use(problem, found),
                 0.0 if turn is None else turn.value / turn.limit,
                 0.0 if near is None else near.excess,
                 where=attempt < _ATTEMPTS // 2,
             )
         return found, said
 
-    def _rows_in_use(self, found: PlannedMotionReport) -> np.ndarray:
+    def _rows_in_use(self, problem: PlanningProgram, found: PlannedMotionReport) -> np.ndarray:
         """Shares of the limits of the solver's rows (m, rows) that a plan takes."""
-        if isinstance(self._dynamics, ChainDynamics):
-            z = [each[self._planned] for each in found.plan.curve(found.times)]
-            return self._dynamics.used(*z, force=self._own_limits.force)
+        if self._chain is not None:
+            return problem.used(*(each[self._planned] for each in found.plan.curve(found.times)))
         shares: np.ndarray = np.abs(found.force[:, self._planned]) / self._own_limits.force
         return shares
 
@@ -333,33 +333,36 @@ class _Planner:
             knots=np.r_[0.0, np.cumsum(lengths[:-1]) / duration, 1.0],
             control_points=every,
         )
-        return self._dynamics.closed(plan) if isinstance(self._dynamics, ChainDynamics) else plan
+        return plan if self._chain is None else self._chain.closed(plan)
 
     def _evaluated(self, plan: Plan) -> PlannedMotionReport:
         """Cost and limits of a plan, between the solver's instants too."""
         model, limits, times = self._model, self._limits, plan.instants(_FINE)
-        size, wrench = model.coordinates.num_velocities, np.empty((0, 0))
-        if isinstance(self._dynamics, ChainDynamics):
-            rows, force, wrench = self._dynamics.evaluated(plan, times)
-        elif model.coordinates.undriven:
-            sample_time = self._scenario.sample_time
-            planned = PathMotion(plan, coordinates=model.coordinates, sample_time=sample_time)
-            followed = FreeMotion(planned, model=model, sample_time=sample_time)
+        size, sample_time = model.coordinates.num_velocities, self._scenario.sample_time
+        motion: PlannedMotion = PathMotion(
+            plan, coordinates=model.coordinates, sample_time=sample_time
+        )
+        if self._chain is not None:
+            motion = self._chain.chain.along(plan)
+        if model.coordinates.undriven:
+            motion = followed = FreeMotion(motion, model=model, sample_time=sample_time)
             followed.accuracy = _ACCURACY
-            rows = followed.rows(times)
-            force = model.calc_tracking_force(*np.split(rows, [size + 1, 2 * size + 1], axis=1))
+        rows, found = motion.rows(times), dict[str, np.ndarray]()
+        if isinstance(self._dynamics, InverseDynamics):
+            force = self._dynamics.calc(*plan.curve(times)).T
         else:
-            rows, force = plan.rows(times), self._dynamics.calc(*plan.curve(times)).T
+            found = motion.demand(model, times)
+            force = found[FORCE]
         # The impulse is limited up to the planned duration.
         main = times <= plan.duration
         impulse = np.trapezoid(np.abs(force[main]), times[main], axis=0)
         turns = np.linalg.norm(position_errors(rows, rows[:1])[:, :3], axis=1)
         last = np.split(rows[main][-1, : 2 * size + 1], [size + 1])
-        found = margins(limits, model, times, rows, force, impulse)
-        if wrench.size:
-            found += wrench_margins(limits, times, wrench)
-        found += self._other_margins(times, rows[:, : size + 1], turns)
-        found += self._ends.margins(plan.duration, *last)
+        kept = margins(limits, model, times, rows, force, impulse)
+        if self._chain is not None:
+            kept += wrench_margins(limits, times, found["contact_wrench"])
+        kept += self._other_margins(times, rows[:, : size + 1], turns)
+        kept += self._ends.margins(plan.duration, *last)
         return PlannedMotionReport(
             plan=plan,
             solve_time=time.perf_counter() - self._begun,
@@ -373,7 +376,7 @@ class _Planner:
             least_by_torque=self._least,
             momentum_left=self._momentum_of(*last),
             base_turn=None if model.coordinates.is_driven[0] else float(turns.max()),
-            margins=tuple(found),
+            margins=tuple(kept),
             times=times,
             rows=rows,
             force=force,

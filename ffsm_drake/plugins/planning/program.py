@@ -13,10 +13,9 @@ import numpy as np
 from pydrake.solvers import LinearConstraint, MathematicalProgram, PyFunctionConstraint
 
 from ffsm_drake.common.so3 import attitude_motion
-from ffsm_drake.plugins.planning.chain_dynamics import ChainDynamics
 from ffsm_drake.plugins.planning.curve import Curve
 from ffsm_drake.plugins.planning.frame_end import FrameEnd
-from ffsm_drake.plugins.planning.inverse_dynamics import FreeDynamics, InverseDynamics
+from ffsm_drake.plugins.planning.inverse_dynamics import Dynamics
 from ffsm_drake.plugins.planning.motion_limits import MotionLimits
 from ffsm_drake.plugins.planning.nearness import Nearness
 from ffsm_drake.plugins.planning.patient_solver import PatientSolver
@@ -37,7 +36,7 @@ class PlanningProgram:
     def __init__(
         self,
         *,
-        dynamics: InverseDynamics | FreeDynamics | ChainDynamics,
+        dynamics: Dynamics,
         planning: Planning,
         limits: MotionLimits,
         start: np.ndarray,
@@ -280,6 +279,11 @@ class PlanningProgram:
             self._reported = time.monotonic()
             duration = float(self.curve.last_lengths.sum())
             self._report(self.evaluations, duration, self.worst(unknowns))
+
+    def used(self, *motion: np.ndarray) -> np.ndarray:
+        """Shares (n, rows) of the limits, for z and its derivatives (size, n)."""
+        shares: np.ndarray = np.abs(self._dynamics.calc(*motion)[: self._most.size].T) / self._most
+        return shares
 
     def worst(self, unknowns: np.ndarray) -> float:
         """Return the largest share of a force limit in use."""

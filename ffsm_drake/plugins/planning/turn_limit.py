@@ -17,8 +17,9 @@ def turned_along(of: Curve, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     small rotations (n, 3, unknowns) by the unknowns, in the axes of the world.
     """
     values, by = of.evaluate(x)
-    w, alpha = np.split(values[:, of.size : of.size + 6], 2, axis=1)
-    slope = by[:, of.size : of.size + 6]
+    rows = slice(-of.size - 6, -of.size)  # the last before z
+    w, alpha = np.split(values[:, rows], 2, axis=1)
+    slope = by[:, rows]
     step = np.zeros((len(of.steps), of.num_unknowns))
     step[:, of.num_points :] = of.steps @ of.lengths_by
     return turned(w, alpha, slope, of.steps @ of.last_lengths, step)

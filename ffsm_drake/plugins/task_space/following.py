@@ -19,7 +19,9 @@ from ffsm_drake.systems.polynomial_motion import BlendedPath
 
 def free_motion(motion: PlannedMotion, mission: Mission, model: PlantModel) -> FreeMotion:
     """Return a motion whose undriven coordinates conserve momentum."""
-    return FreeMotion(motion, model=model, sample_time=mission.scenario.sample_time)
+    scenario = mission.scenario
+    at_rest = scenario.reference.kind != "optimal" and not scenario.starts_moving
+    return FreeMotion(motion, model=model, sample_time=scenario.sample_time, at_rest=at_rest)
 
 
 def resolved_motion(

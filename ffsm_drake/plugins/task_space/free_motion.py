@@ -6,6 +6,7 @@ dynamics of the motion gives no force on undriven coordinates.
 """
 
 import abc
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -146,11 +147,13 @@ class FreeMotion(MomentumMotion):
         *,
         model: PlantModel,
         sample_time: float,
+        at_rest: bool = False,
     ) -> None:
         """Args:
         wanted: the motion.
         model: the plant with the nominal payload.
         sample_time: the control period, s.
+        at_rest: whether there is no momentum, although splines begin at small rates.
         """
         self.wanted = wanted
         coordinates = model.coordinates
@@ -161,7 +164,7 @@ class FreeMotion(MomentumMotion):
         super().__init__(
             model=model,
             position=q,
-            velocity=v,
+            velocity=0.0 * v if at_rest else v,
             sample_time=sample_time,
             begin=wanted.begin,
             end=wanted.end,
@@ -171,9 +174,15 @@ class FreeMotion(MomentumMotion):
         """See PlannedMotion."""
         return self.wanted.instants(count)
 
-    def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def shared(
+        self, times: np.ndarray, found: dict[str, np.ndarray], state: Sequence[np.ndarray]
+    ) -> dict[str, np.ndarray]:
         """See PlannedMotion."""
-        return self.wanted.shared(times, found)
+        return self.wanted.shared(times, found, state)
+
+    def remarks(self) -> list[str]:
+        """See PlannedMotion."""
+        return self.wanted.remarks()
 
     def driven_velocity(self, time: float, q: np.ndarray) -> np.ndarray:
         return self.wanted.evaluate(np.array([time]))[1][0, self._driven]

@@ -5,6 +5,7 @@ Up to then, the first hand carries the target along the polynomial of ``referenc
 
 import dataclasses
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -102,13 +103,17 @@ class PlannedAfterClosing(InTurn):
         parts = [np.linspace(*pair, count) for pair in itertools.pairwise(marks)]
         return np.unique(np.concatenate(parts))
 
-    def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def shared(
+        self, times: np.ndarray, found: dict[str, np.ndarray], state: Sequence[np.ndarray]
+    ) -> dict[str, np.ndarray]:
         """See PlannedMotion."""
         is_after, parts = times > self._last - 1e-9, list[dict[str, np.ndarray]]()
         for (begin, motion), where in zip(self._motions, (~is_after, is_after), strict=True):
             if where.any():
                 own = {name: values[where] for name, values in found.items()}
-                parts.append(motion.shared(times[where] - begin, own))
+                parts.append(
+                    motion.shared(times[where] - begin, own, [each[where] for each in state])
+                )
         order = np.argsort(np.concatenate([np.flatnonzero(~is_after), np.flatnonzero(is_after)]))
         return {name: np.concatenate([part[name] for part in parts])[order] for name in parts[0]}
 

@@ -1,6 +1,7 @@
 """A planned motion whose closing arms close the loops at every instant."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -61,9 +62,11 @@ class ClosedMotion(PlannedMotion):
         """See PlannedMotion."""
         return self._motion.remarks()
 
-    def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def shared(
+        self, times: np.ndarray, found: dict[str, np.ndarray], state: Sequence[np.ndarray]
+    ) -> dict[str, np.ndarray]:
         """See PlannedMotion."""
-        return self._loads.shared(self, times, found)
+        return self._loads.shared(self, times, found, state)
 
     def _closed(self, row: np.ndarray) -> np.ndarray:
         nq, nv = self.coordinates.num_positions, self.coordinates.num_velocities

@@ -88,9 +88,11 @@ class Following(PlannedMotion):
         """See PlannedMotion."""
         return self._motion.remarks()
 
-    def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def shared(
+        self, times: np.ndarray, found: dict[str, np.ndarray], state: Sequence[np.ndarray]
+    ) -> dict[str, np.ndarray]:
         """See PlannedMotion."""
-        return self._loads.shared(self, times, found)
+        return self._loads.shared(self, times, found, state)
 
 
 def samples_to(time: float, period: float) -> int:

@@ -1,7 +1,7 @@
 """The wrenches of hands and the torques of joints along a motion of the chain."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydrake.multibody.tree import Frame
@@ -40,10 +40,14 @@ class Loads:
         self._stages = dict[int, tuple[ClosedChain, InternalControl]]()
 
     def shared(
-        self, motion: PlannedMotion, times: np.ndarray, found: dict[str, np.ndarray]
+        self,
+        motion: PlannedMotion,
+        times: np.ndarray,
+        found: dict[str, np.ndarray],
+        state: Sequence[np.ndarray],
     ) -> dict[str, np.ndarray]:
         """See PlannedMotion; at times of the motion (n,), s."""
-        scenario, (q, v, a) = self._scenario, motion.evaluate(times)
+        scenario, (q, v, a) = self._scenario, state
         names, force = list(closing_contacts(scenario, ALL_HANDS)), found[FORCE].copy()
         cones, weld = cones_of(scenario), weld_of(scenario)
         wrench, preload = np.zeros((2, times.size, 6 * len(names)))

@@ -9,6 +9,8 @@ inverse kinematics at nodes; each begins at the one before it and changes the jo
 A late hand (``contacts.NAME.closes``) comes to its place as in ``following``.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.interpolate import BSpline
 
@@ -104,9 +106,11 @@ class ChainMotion(PlannedMotion):
         parts = np.linspace(0, len(marks) - 1, (len(marks) - 1) * (count - 1) + 1)
         return np.interp(parts, np.arange(len(marks)), marks)
 
-    def shared(self, times: np.ndarray, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    def shared(
+        self, times: np.ndarray, found: dict[str, np.ndarray], state: Sequence[np.ndarray]
+    ) -> dict[str, np.ndarray]:
         """See PlannedMotion: the arms share the force as ``chain.force`` has it."""
-        return self._loads.shared(self, times, found)
+        return self._loads.shared(self, times, found, state)
 
 
 @planned

@@ -53,15 +53,6 @@ REFUSED = {
         ),
         *(
             (
-                {"spacecraft": two_arms, "driven": driven, factor: "plan"},
-                ("actuation.driven", "plan"),
-            )
-            for two_arms in _TWO_ARMS
-            for driven in _UNDRIVEN
-            for factor in ("motion", "command")
-        ),
-        *(
-            (
                 {"spacecraft": "later hand", "driven": driven, "motion": "frame"},
                 ("closes", "reference.frame"),
             )

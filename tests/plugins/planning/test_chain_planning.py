@@ -1,5 +1,6 @@
 """Plans for two arms that hold one target: the loops stay closed, and every limit is kept."""
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RotationMatrix
+from scipy.spatial.transform import Rotation
 
 from ffsm_drake import Scenario, load_scenario, make_nominal_plant, simulate
 from ffsm_drake.mission import Mission
@@ -41,30 +43,57 @@ def dynamics_of(scenario: Scenario, first: np.ndarray) -> ChainDynamics:
     return ChainDynamics(mission, model, RotationMatrix(Quaternion(first)), motion_limits(mission))
 
 
-@pytest.mark.parametrize("name", ["two_arms", "two_arms_capture"])
-@pytest.mark.parametrize("share", ["null", "0.4"])
-def test_the_dynamics_are_those_of_the_motion(name: str, share: str) -> None:
+STILL = {"base_rpy": [0, 0, 0], "base_position": [0, 0, 0]}
+DRIVEN = {"joints": ["joints"], "turning": ["base_rotation", "joints"], "all": ["all"]}
+
+
+def driven_by(driven: str, scenario: Scenario) -> Scenario:
+    """A mission with a base that does not move, turns or moves by actuators."""
+    places = {f"{each}_posture": STILL for each in ("initial", "target")}
+    base = {} if driven == "all" else places
+    return scenario.replace(actuation={"driven": DRIVEN[driven]}, **base)
+
+
+@pytest.mark.parametrize(
+    ("name", "driven", "share"),
+    [
+        *itertools.product(("two_arms", "two_arms_capture"), ["all"], ("null", "0.4")),
+        ("two_arms", "joints", "null"),
+        ("two_arms_capture", "turning", "0.4"),
+    ],
+)
+def test_the_dynamics_are_those_of_the_motion(name: str, driven: str, share: str) -> None:
     """Rotation vectors and followers against the joints and quaternions of the chain's motion."""
-    scenario = limited(f"chain.force.share={share}", name=name)
+    scenario = driven_by(driven, limited(f"chain.force.share={share}", name=name))
     mission = Mission(scenario)
     motion, times = make_motion(mission), np.linspace(0.5, 11.0, 6)
     found = motion.demand(mission.craft.nominal(), times)
-    first = motion.evaluate(0.0)[0][:4]
-    dynamics, step = dynamics_of(scenario, first), 1e-3
+    planner, step = _Planner(scenario, lambda line: None, 10.0), 1e-3
+    dynamics, chain, planned = planner._dynamics, planner._chain, planner._planned
+    assert chain is not None
+    first = planner._start
 
     def z(at: np.ndarray) -> np.ndarray:
         q = motion.evaluate(at)[0]
-        turns = position_errors(q, np.concatenate([first, q[0, 4:]])[None])[:, :3]
-        return np.hstack([turns, q[:, 4:]]).T[dynamics.chain.free]
+        turns = position_errors(q, np.concatenate([first[:4], q[0, 4:]])[None])[:, :3]
+        return np.hstack([turns, q[:, 4:]]).T[planned]
 
-    dynamics.chain.learn(motion.evaluate(times)[0][:, 7:].T)
+    q, v, a = motion.evaluate(times)
+    chain.chain.learn(q[:, 7:].T)
     rate = (z(times + step) - z(times - step)) / (2.0 * step)
     acceleration = (z(times + step) - 2.0 * z(times) + z(times - step)) / step**2
     rows = dynamics.calc(z(times), rate, acceleration)
-    assert_allclose(rows[:18], found[FORCE].T[dynamics.order], atol=1e-5)
-    assert_allclose(rows[dynamics.joints], motion.evaluate(times)[0][:, 7:].T, atol=1e-9)
-    wrench = rows[18 + 18 : dynamics.joints.start].T * motion_limits(mission).wrench
+    order = [*planned, *chain.chain.following]
+    assert_allclose(rows[: len(order)], found[FORCE].T[order], atol=1e-5)
+    assert dynamics.joints is not None
+    assert_allclose(rows[dynamics.joints], q[:, 7:].T, atol=1e-9)
+    wrench = rows[len(order) + 18 : dynamics.joints.start].T * motion_limits(mission).wrench
     assert_allclose(wrench, found["contact_wrench"], atol=1e-5)
+    assert dynamics.turns == (driven == "joints")
+    if dynamics.turns:
+        R_WB = Rotation.from_quat(q[:, :4], scalar_first=True)
+        turned = [R_WB.apply(each[:, :3], inverse=True) for each in (v, a)]
+        assert_allclose(rows[-6:], np.hstack(turned).T, atol=1e-5)
 
 
 def test_derivatives_pass_through_the_closed_loops() -> None:
@@ -158,7 +187,7 @@ def late(seed: int, **changes: Any) -> Scenario:
 def first_guess(scenario: Scenario) -> Plan:
     """The plan with which the search begins."""
     planner = _Planner(scenario, lambda line: None, 10.0)
-    problem = planner._problem(planner._dynamics)
+    problem = planner._problem()
     return planner._plan_of(planner._first_guess(problem, 0.0))
 
 

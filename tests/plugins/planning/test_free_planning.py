@@ -45,8 +45,10 @@ def test_force_and_rates_are_those_of_the_reduced_dynamics(driven):
     model = make_nominal_plant(
         load_scenario("free_floating", [f"actuation.driven=[{', '.join(driven)}]"])
     )
-    dynamics = FreeDynamics(InverseDynamics(model, RotationMatrix()), model.coordinates)
     size, joints = model.coordinates.driven.size, len(model.coordinates.joints)
+    mass = model.plant.CalcTotalMass(model.context)
+    whole = InverseDynamics(model, RotationMatrix())
+    dynamics = FreeDynamics(whole, model.coordinates.driven, 6 + joints, mass)
     motion = z, rate, acceleration = np.random.default_rng(0).normal(size=(3, size, 20))
     z[: size - joints] = 0.0
     found, by = complex_step(dynamics.calc, motion)
