@@ -109,8 +109,8 @@ def _scaled(scenario: Scenario, name: str, factors: Mapping[str, float]) -> Scen
     gains = data["controllers"][scenario.controller_key]
     coordinates = Craft(scenario).coordinates
     if _is_scalar(scenario, name):
-        (value, *_), (factor, *_) = coordinates.vector(gains[name], key=name), factors.values()
-        gains[name] = {"all": rounded(float(value) * factor)}
+        value, scale = coordinates.vector(gains[name], key=name)[0], next(iter(factors.values()))
+        gains[name] = {"all": rounded(float(value) * scale)}
         return scenario_from_dict(data)
     factor = coordinates.vector(factors, key=name, default=1.0)
     place = gains if name in gains else data["estimator"]
