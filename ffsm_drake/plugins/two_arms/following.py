@@ -137,13 +137,13 @@ class Reach:
         """
         self.joints, self.values, spline = joints, values, BSpline(knots, values, k=5)
         self._given = first, knots, velocity
-        self._closed = spline, spline.derivative(), spline.derivative(2)
+        self._closed = [functools.partial(spline, nu=order) for order in range(3)]
         self._closes, self._end = knots[0], knots[-1]
-        self._open: tuple[BSpline | BPoly, ...] = self._closed
+        self._open: list[Callable[[np.ndarray], np.ndarray]] = [*self._closed]
         if self._closes > 0.0:
             ends = [first, velocity, 0.0 * first], [each(knots[0]) for each in self._closed]
             open_ = BPoly.from_derivatives([0.0, self._closes], ends)
-            self._open = open_, open_.derivative(), open_.derivative(2)
+            self._open = [open_, open_.derivative(), open_.derivative(2)]
 
     def with_values(self, values: np.ndarray) -> "Reach":
         """The motion with other values of its spline, in any shape."""

@@ -12,7 +12,6 @@ import numpy as np
 
 from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.mission import Mission, planned
-from ffsm_drake.plugins.task_space.following import resolved_motion
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, joints_to
 from ffsm_drake.plugins.two_arms.chain_model import ChainModel, model_at
 from ffsm_drake.plugins.two_arms.closed_motion import ClosedMotion
@@ -22,6 +21,7 @@ from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.frame_path import goal_frame
 from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.reference import FOLLOWERS
 
 _KEY = "reference.frame"
 _ROUNDS, _SAME = 30, 1e-10  # steps, at most; change of joints that ends them, rad or m
@@ -63,7 +63,8 @@ def framed_motion(
 
     def resolved(arms: Sequence[Reach]) -> PlannedMotion:
         wanted = _Moved(motion, moved, arms, period)
-        made: PlannedMotion = resolved_motion(wanted, mission, model, given)
+        follower: Callable[..., PlannedMotion] = FOLLOWERS.load(_KEY, _KEY)
+        made = follower(wanted, mission, model, given)
         if isinstance(model, ChainModel):
             made = _OfTree(made, model, nominal.coordinates, period)
         return made
@@ -116,9 +117,8 @@ def _consistent(follow: Callable[[Sequence[Reach]], Following], name: str) -> Fo
         arms = [each.with_values(own) for each, own in zip(found.arms, parts, strict=True)]
     raise ScenarioError(
         f"contacts.{name}.closes",
-        f"with {_KEY}, the place of its hand on a base that the arm moves is not found: it changes "
-        f"by {change:.2g} rad or m after {_ROUNDS} steps; close later, or lengthen "
-        "reference.duration",
+        f"the arm moves the base, and no place of its hand is found (change {change:.2g} rad); "
+        "close later",
     )
 
 

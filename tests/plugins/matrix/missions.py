@@ -53,13 +53,6 @@ REFUSED = {
         ),
         *(
             (
-                {"spacecraft": "later hand", "driven": driven, "motion": "frame"},
-                ("closes", "reference.frame"),
-            )
-            for driven in _UNDRIVEN
-        ),
-        *(
-            (
                 {"start": start, "driven": "joints", **planned},
                 ("actuation.driven", "momentum"),
             )
