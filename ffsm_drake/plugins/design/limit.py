@@ -155,6 +155,7 @@ def _filter(
     # As in ``kalman_gain`` the gain assumes at least a little noise on every measurement.
     largest = np.column_stack([white, correlated, walk * np.sqrt(step)]).max(axis=1)
     assumed = np.maximum(white, SMALLEST_RATIO * largest[:, None]) ** 2
+    assumed = np.maximum(assumed, np.finfo(float).tiny)  # of a coordinate that is known exactly
     before = process
     for _ in range(1 << (scenario.num_control_periods - 1).bit_length()):
         spread = output @ before @ output.T + assumed[:, None] * np.eye(2)

@@ -7,8 +7,10 @@ from click.testing import CliRunner
 from ffsm_drake import load_scenario, make_nominal_plant, simulate_many
 from ffsm_drake.cli import main
 from ffsm_drake.plugins.design.gains.variation import _scaled, _tunable
+from ffsm_drake.plugins.design.limit import _filter
 from ffsm_drake.plugins.design.stability.linearization import Linearizer
 from ffsm_drake.plugins.design.stability.prediction import Prediction, predict
+from ffsm_drake.spacecraft.craft import Craft
 from ffsm_drake.systems.controllers import complete_gains
 
 LAWS = ("resolved_rate", "task_computed_torque", "task_time_delay")
@@ -131,3 +133,12 @@ def test_gains_of_a_law_that_tracks_a_frame_are_designed(name, tmp_path):
     assert "frame_position" in found.output
     assert "times the least of any linear controller" in found.output
     assert (tmp_path / "out" / "design.yaml").exists()
+
+
+def test_a_coordinate_without_noise_and_disturbance_is_known_exactly():
+    noise = ["sensing.position_noise=0", "sensing.velocity_noise=0"]
+    scenario = load_scenario("postcapture", [*noise, "disturbance.amplitude_scale=0"])
+    coordinates = Craft(scenario).coordinates
+    before, after = _filter(scenario, coordinates, np.zeros(len(coordinates.names)))
+    assert not before.any()
+    assert not after.any()
