@@ -25,12 +25,16 @@ def free_motion(motion: PlannedMotion, mission: Mission, model: PlantModel) -> F
 
 
 def resolved_motion(
-    motion: PlannedMotion, mission: Mission, model: PlantModel, given: Sequence[str] = ()
+    motion: PlannedMotion,
+    mission: Mission,
+    model: PlantModel,
+    given: Sequence[str] = (),
+    step: float | None = None,
 ) -> ResolvedMotion:
     """Return a motion whose joints move a frame along its path. Raises the errors of the path.
 
     The model may be one of a closed chain, with fewer coordinates than the motion. Joints that are
-    ``given`` keep their motion.
+    ``given`` keep their motion. A ``step`` is that of ``MomentumMotion``.
     """
     scenario, tree = mission.scenario, mission.craft.nominal(model.grip)
     frame = goal_frame(scenario, tree.plant)
@@ -45,6 +49,7 @@ def resolved_motion(
         model=model,
         sample_time=scenario.sample_time,
         given=given,
+        step=step,
     )
 
 

@@ -22,6 +22,7 @@ from ffsm_drake.systems.planned_motion import PlannedMotion
 # about 1500, of ten minutes 9000.
 _MOST, _MOST_PER_SECOND = 10_000, 100
 _LEAST_PART = 1.0  # s, integrated at once
+_ROUGH = 1e-2  # largest error of a given step
 
 
 class MomentumMotion(PlannedMotion, abc.ABC):
@@ -38,6 +39,7 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         sample_time: float,
         begin: float = 0.0,
         end: float,
+        step: float | None = None,
     ) -> None:
         """Args:
         model: the plant with the nominal payload.
@@ -45,10 +47,12 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         velocity: v (nv) at the start; only its momentum matters.
         sample_time: the control period, s.
         begin, end: of the motion, s; see ``PlannedMotion``.
+        step: integrate in steps of this duration, s, whose errors are smooth in the motion; None:
+          with ``accuracy``.
         """
         self._model, self._driven = model, model.coordinates.driven
         self._momentum = self._stack(position).momentum(velocity)
-        self._first, self._part = position, max(end, _LEAST_PART)
+        self._first, self._step, self._part = position, step, step or max(end, _LEAST_PART)
         # dense solutions q(t) over one part of this duration, s, after the other, as far as needed
         self._parts = list[Any]()
         coordinates = model.coordinates
@@ -113,14 +117,16 @@ class MomentumMotion(PlannedMotion, abc.ABC):
                 raise ScenarioError("reference", f"{what}: it is too fast, or its posture far off")
             return self._rate(time, q)
 
+        accuracy = self.accuracy if self._step is None else _ROUGH
         found = solve_ivp(
             rate,
             (begin, end),
             first,
             method="DOP853",
             dense_output=True,
-            rtol=self.accuracy,
-            atol=0.01 * self.accuracy,
+            rtol=accuracy,
+            atol=0.01 * accuracy,
+            first_step=self._step and end - begin,
         )
         if not found.success:
             raise ScenarioError("reference", f"the motion cannot be integrated: {found.message}")

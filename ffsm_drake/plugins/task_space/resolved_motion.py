@@ -93,13 +93,14 @@ class ResolvedMotion(MomentumMotion):
         model: PlantModel,
         sample_time: float,
         given: Sequence[str] = (),
+        step: float | None = None,
     ) -> None:
         """Args:
         wanted: the motion without the frame, of the model's coordinates at least.
         path: path of the frame.
         goal: goal of the frame.
         frame: the frame.
-        model, sample_time: see ``MomentumMotion``.
+        model, sample_time, step: see ``MomentumMotion``.
         given: names of joints that move as in ``wanted``, as driven base coordinates do.
         """
         self._wanted, self._goal, self._frame = wanted, goal, frame
@@ -140,6 +141,7 @@ class ResolvedMotion(MomentumMotion):
             velocity=v,
             sample_time=sample_time,
             end=path.end,
+            step=step,
         )
 
     def velocity(self, time: float, q: np.ndarray) -> np.ndarray:

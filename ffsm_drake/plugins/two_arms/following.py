@@ -24,7 +24,7 @@ from ffsm_drake.spacecraft.coordinates import NUM_BASE_POSITIONS
 from ffsm_drake.spacecraft.nominal import PlantModel
 from ffsm_drake.systems.planned_motion import PlannedMotion
 
-_NODES, _MOST_NODES = 128, 2048
+NODES, _MOST_NODES = 128, 2048
 _ACCURATE = 1e-10  # m, rad: gap between the nodes
 _AT_REST = 1e-7  # rad/s, m/s: of a motion that has ended
 _LEAST = 1.0  # s, of the spline of a hand that closes when the motion has ended
@@ -42,6 +42,7 @@ class Following(PlannedMotion):
         *,
         since: float,
         closed: float | None = None,
+        most: int = _MOST_NODES,
     ) -> None:
         """Args:
           motion: the motion, with first guesses of the joints of the closing arms at its start.
@@ -50,6 +51,7 @@ class Following(PlannedMotion):
           since: begin of the motion after the grasp of the first hand, s.
           closed: hands with ``closes`` up to this time, s, hold the target then. The others close
             where the motion ends, but not before their time. None: all close at their time.
+          most: nodes of a spline, at most.
 
         Raises ScenarioError: a hand does not reach its place, or an arm is singular.
         """
@@ -76,7 +78,7 @@ class Following(PlannedMotion):
             arm, marks = Arm(close, loop, rest), [begin, max(motion.end, begin + _LEAST)]
             if drifts and left > marks[-1] + SOON:
                 marks.append(left)
-            own = fitted(marks, arm.solve, arm.error)
+            own = fitted(marks, arm.solve, arm.error, most)
             velocity = row[nq : nq + nv][loop.joints]
             self.arms.append(Reach(loop.joints, arm.first, own.t, own.c, velocity))
 
@@ -242,11 +244,16 @@ class Arm:
         return worst
 
 
-def fitted(marks: Sequence[float], solve: Callable[..., Any], error: Callable[..., Any]) -> BSpline:
+def fitted(
+    marks: Sequence[float],
+    solve: Callable[..., Any],
+    error: Callable[..., Any],
+    most: int = _MOST_NODES,
+) -> BSpline:
     """The spline of fifth order through solutions at path parameters, one from each mark to the
-    next, with as many nodes as its error between them asks for.
+    next, with as many nodes as its error between them asks for, ``most`` at most.
     """
-    nodes = _NODES
+    nodes = NODES
     while True:
         parts = [np.linspace(*pair, nodes + 1) for pair in itertools.pairwise(marks)]
         values = np.split(solve(np.concatenate(parts)), len(parts))
@@ -254,6 +261,6 @@ def fitted(marks: Sequence[float], solve: Callable[..., Any], error: Callable[..
         knots = [splines[0].t, *(each.t[6:] for each in splines[1:])]
         found = BSpline(np.concatenate(knots), np.concatenate([each.c for each in splines]), k=5)
         between = np.concatenate([0.5 * (s[1:] + s[:-1]) for s in parts])
-        if nodes >= _MOST_NODES or error(between, found(between)) < _ACCURATE:
+        if nodes >= most or error(between, found(between)) < _ACCURATE:
             return found
         nodes *= 2

@@ -15,7 +15,7 @@ from ffsm_drake.mission import Mission, planned
 from ffsm_drake.plugins.two_arms.chain import ClosedChain, joints_to
 from ffsm_drake.plugins.two_arms.chain_model import ChainModel, model_at
 from ffsm_drake.plugins.two_arms.closed_motion import ClosedMotion
-from ffsm_drake.plugins.two_arms.following import Following, Reach, span, with_arms
+from ffsm_drake.plugins.two_arms.following import NODES, Following, Reach, span, with_arms
 from ffsm_drake.scenario.contacts import ALL_HANDS, Grip
 from ffsm_drake.spacecraft.coordinates import Coordinates
 from ffsm_drake.spacecraft.nominal import PlantModel
@@ -24,7 +24,11 @@ from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import FOLLOWERS
 
 _KEY = "reference.frame"
-_ROUNDS, _SAME = 30, 1e-10  # steps, at most; change of joints that ends them, rad or m
+_ROUNDS, _SAME = 30, 1e-10  # rounds, at most; change of joints that ends them, rad or m
+# Steps of the integration, of _STEP and of the motion, with the change of joints that ends them;
+# the last rounds integrate adaptively.
+_STEP, _OF_MOTION = 0.5, 0.05  # s, and fraction of the duration, at most
+_STAGES = ((1.0, 1e-8), (0.5, _SAME))
 
 
 def framed_motion(
@@ -61,10 +65,10 @@ def framed_motion(
         model = model_at(scenario, held, posture)
     period, moved = scenario.sample_time, posture - first
 
-    def resolved(arms: Sequence[Reach]) -> PlannedMotion:
+    def resolved(arms: Sequence[Reach], step: float | None = None) -> PlannedMotion:
         wanted = _Moved(motion, moved, arms, period)
         follower: Callable[..., PlannedMotion] = FOLLOWERS.load(_KEY, _KEY)
-        made = follower(wanted, mission, model, given)
+        made = follower(wanted, mission, model, given, step)
         if isinstance(model, ChainModel):
             made = _OfTree(made, model, nominal.coordinates, period)
         return made
@@ -72,8 +76,11 @@ def framed_motion(
     if not late and closed is None:
         return ClosedMotion(resolved([]), mission, nominal)
 
-    def follow(arms: Sequence[Reach]) -> Following:
-        return Following(resolved(arms), mission, nominal, since=since, closed=closed)
+    def follow(arms: Sequence[Reach], share: float = 0.0) -> Following:
+        step = share * min(_STEP, _OF_MOTION * motion.end)
+        how = {"most": NODES} if step else {}
+        made = resolved(arms, step or None)
+        return Following(made, mission, nominal, since=since, closed=closed, **how)
 
     kept = _kept(mission, motion.end) if closed is None else []
     if given and not kept:
@@ -90,17 +97,18 @@ def _kept(mission: Mission, end: float) -> list[Following]:
     return []
 
 
-def _consistent(follow: Callable[[Sequence[Reach]], Following], name: str) -> Following:
+def _consistent(follow: Callable[[Sequence[Reach], float], Following], name: str) -> Following:
     """A motion that has the arms for which it is made, by a fixed-point iteration that begins with
     the arms' own motion. Raises ScenarioError: there is none.
 
-    A step is the combination of those before with the least change (Anderson 1965,
-    doi:10.1145/321296.321305).
+    A round begins with the combination of those before with the least change (Anderson 1965,
+    doi:10.1145/321296.321305). The first rounds have given steps (``_STAGES``): an adaptive
+    integration takes longer, and its errors, which are not smooth, delay the convergence.
     """
-    arms, used, made = follow([]).arms, list[np.ndarray](), list[np.ndarray]()
-    change = np.inf
+    stages, change = [*_STAGES, (0.0, _SAME)], np.inf
+    arms, used, made = follow([], stages[0][0]).arms, list[np.ndarray](), list[np.ndarray]()
     for _ in range(_ROUNDS):
-        found = follow(arms)
+        found = follow(arms, stages[0][0])
         sizes = [each.values.size for each in found.arms]
         if sizes != [each.values.size for each in arms]:  # other nodes
             arms, used, made = found.arms, [], []
@@ -109,9 +117,11 @@ def _consistent(follow: Callable[[Sequence[Reach]], Following], name: str) -> Fo
         made.append(np.concatenate([each.values.ravel() for each in found.arms]))
         changes = np.subtract(made, used)
         change = np.abs(changes[-1]).max()
-        if change < _SAME:
-            found.arms = arms  # base and carrying arm have been made for these
-            return found
+        if change < stages[0][1]:
+            if len(stages) == 1:
+                found.arms = arms  # base and carrying arm have been made for these
+                return found
+            del stages[0]
         share = np.linalg.lstsq(np.diff(changes, axis=0).T, changes[-1], rcond=None)[0]
         parts = np.split(made[-1] - share @ np.diff(made, axis=0), np.cumsum(sizes)[:-1])
         arms = [each.with_values(own) for each, own in zip(found.arms, parts, strict=True)]

@@ -26,6 +26,7 @@ from ffsm_drake.plugins.two_arms.internal import internal_control
 from ffsm_drake.plugins.two_arms.loads import preloaded
 from ffsm_drake.scenario.contacts import ALL_HANDS, closing_contacts
 from ffsm_drake.systems.planned_motion import PlannedMotion
+from ffsm_drake.systems.reference import FOLLOWERS
 from ffsm_drake.systems.setup import BlockSetup
 
 
@@ -104,7 +105,10 @@ class SupervisedChain:
 
         Raises ScenarioError: a hand does not reach its place, or an arm is singular.
         """
-        setup = self._setup
-        is_framed = setup.scenario.reference.frame is not None
+        setup, scenario, key = self._setup, self._setup.scenario, "actuation.driven"
+        is_framed = scenario.reference.frame is not None
         follow = framed_motion if is_framed else Following
-        return follow(motion, setup.mission, setup.nominal, since=since, closed=closed)
+        made = follow(motion, setup.mission, setup.nominal, since=since, closed=closed)
+        if is_framed or not scenario.undriven:
+            return made
+        return FOLLOWERS.load(key, key)(made, setup.mission, setup.nominal)

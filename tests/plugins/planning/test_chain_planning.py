@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from ffsm_drake import Scenario, load_scenario, make_nominal_plant, simulate
 from ffsm_drake.mission import Mission
+from ffsm_drake.plugins.design.remarks import plan_limits
 from ffsm_drake.plugins.planning.chain_dynamics import ChainDynamics
 from ffsm_drake.plugins.planning.inverse_dynamics import complex_step
 from ffsm_drake.plugins.planning.motion_limits import motion_limits
@@ -244,11 +245,13 @@ def test_a_plan_begins_at_the_closing_of_a_late_hand(tmp_path: Path, seed: int) 
 
 @pytest.mark.long
 def test_a_late_hand_is_planned_and_flown(tmp_path: Path) -> None:
-    scenario = late(1)
+    scenario = late(1, contacts={"right": {"closes": 4.0}})
     found = plan_motion(scenario, time_limit=60.0)
     found.plan.save(tmp_path / "plan.yaml", title="")
     plan = {"kind": "optimal", "plan": str(tmp_path / "plan.yaml")}
-    run = simulate(scenario.replace(reference=plan, duration=15.0), check_stability=False)
+    flown = scenario.replace(reference=plan, duration=17.0)
+    assert plan_limits(Mission(flown)) == []  # up to the closing, too
+    run = simulate(flown, check_stability=False)
     assert run.ending.is_settled
     assert run.metrics["contacts"]["gap"] < 1e-6
     assert run.metrics["contacts"]["closing"]["distance"] < 1e-4

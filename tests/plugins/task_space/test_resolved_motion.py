@@ -11,11 +11,27 @@ from ffsm_drake import load_scenario, simulate
 from ffsm_drake.mission import make_mission
 from ffsm_drake.plugins.capture.contact import planned_contact
 from ffsm_drake.plugins.design.remarks import plan_remarks
+from ffsm_drake.plugins.task_space.following import resolved_motion
 from ffsm_drake.plugins.task_space.resolved_motion import damped_inverse
 from ffsm_drake.spacecraft.coordinates import position_errors
 from ffsm_drake.spacecraft.craft import make_nominal_plant
 from ffsm_drake.spacecraft.free_floating import free_floating
+from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion
+
+
+class ShiftedMotion(PlannedMotion):
+    """A motion with its last joint moved."""
+
+    def __init__(self, motion, moved):
+        self._motion, self._moved = motion, moved
+        super().__init__(coordinates=motion.coordinates, sample_time=0.01, end=motion.end)
+
+    def rows(self, times):
+        rows = self._motion.rows(times)
+        rows[:, self.coordinates.num_positions - 1] += self._moved
+        return rows
+
 
 ARM_ALONE = ["actuation.driven=[joints]"]
 PLANAR = ["reference={kind: quintic, goal: target_posture, plan: null, duration: 20}"]
@@ -62,6 +78,25 @@ def test_the_arm_alone_takes_the_frame_along_its_path():
     assert_consistent(motion, times[:3], h=1e-3, atol=1e-7)
     assert max(np.abs(v[3:]).max(), np.abs(a[3:]).max()) < 1e-7  # at rest
     assert motion.remarks() == []
+
+
+def test_given_steps_have_errors_that_are_smooth_in_the_motion():
+    """A small change of the motion changes them little, although they are 100 times larger."""
+    overrides = [*PLANAR, "reference.duration=4", *ARM_ALONE, BERTH]
+    mission = make_mission(load_scenario("planar_detumble", overrides))
+    motion, model = make_motion(mission), mission.craft.nominal()
+    times, change = np.linspace(0.0, 4.0, 11), 1e-9
+
+    def ends(step, moved=0.0):
+        changed = ShiftedMotion(motion, moved)
+        return resolved_motion(changed, mission, model, step=step).evaluate(times)[0]
+
+    exact, coarse, fine = ends(0.05), ends(0.8), ends(0.4)
+    errors = [np.abs(each - exact).max() for each in (coarse, fine)]
+    assert 0.0 < errors[1] < errors[0] / 2**6
+    moved, wanted = ends(0.8, change) - coarse, ends(0.05, change) - exact
+    assert errors[0] > 100 * change
+    assert_allclose(moved, wanted, atol=1e-2 * change)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from ffsm_drake import ScenarioError, load_scenario, simulate
+from ffsm_drake import ScenarioError, free_floating, load_scenario, simulate
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.capture import modes
 from ffsm_drake.plugins.capture.modes import Cause, Mode
@@ -152,6 +152,36 @@ def test_a_new_plan_closes_the_chain_at_every_sample(seed, late):
         assert_allclose(change, now[nq : nq + nv], atol=1e-6)
         change = (after[nq : nq + nv] - before[nq : nq + nv]) / (2.0 * step)
         assert_allclose(change, now[nq + nv :], atol=1e-5)
+
+
+@pytest.mark.parametrize("driven", [["joints"], ["base_rotation", "joints"]])
+@pytest.mark.parametrize("late", ["", "open", "closed"])
+def test_a_new_plan_moves_a_base_that_is_not_driven_by_its_momentum(driven, late):
+    """From the measured velocities on, so that the motion needs no force on the base."""
+    random = np.random.default_rng(len(driven) + 2 * len(late))
+    given = {"actuation": {"driven": driven, "limit": dict.fromkeys(driven, 40)}, "supervisor": {}}
+    still = {"base_position": [0, 0, 0], "base_rpy": [0, 0, 0]}
+    given |= {"initial_posture": still, "target_posture": still}
+    mission = Mission(load_scenario("two_arms_capture", [given, *([LATE] if late else [])]))
+    model = mission.craft.nominal()
+    setup = BlockSetup(name="", mission=mission, nominal=model, settings={})
+    whole = ClosedChain(model, setup.scenario, ALL_HANDS, true=False)
+    q = posture(setup)
+    q = q if late == "open" else whole.closed(q)
+    v, joints = random.uniform(-0.02, 0.02, q.size - 1), whole.loops[0].joints
+    if late != "open":  # the arm that follows has its velocity from the loop
+        A = whole.jacobian(q)
+        v[joints] = -np.linalg.solve(A[:, joints], np.delete(A, joints, 1) @ np.delete(v, joints))
+    plan = np.concatenate([[0.0, 5.0, 0.0, 3.0 * (late == "closed")], q, v])
+    motion = SupervisorPart().supervisor(setup).motion(plan)
+    places, rates, changes = motion.evaluate(np.linspace(0.0, 7.0, 36))
+    rows = slice(3 * ("base_rotation" in driven), 6)
+    momentum = free_floating(model, places, driven).momentum(rates)[:, rows]
+    before = free_floating(model, q, driven).momentum(v)[rows]
+    assert_allclose(momentum - before, 0.0, atol=1e-9)
+    undriven = ~model.coordinates.is_driven
+    for one in zip(places, rates, changes, strict=True):
+        assert_allclose(model.calc_inverse_dynamics(*one)[undriven], 0.0, atol=1e-8)
 
 
 def test_a_plan_out_of_reach_is_none():
