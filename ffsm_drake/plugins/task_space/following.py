@@ -30,11 +30,12 @@ def resolved_motion(
     model: PlantModel,
     given: Sequence[str] = (),
     step: float | None = None,
+    marks: Sequence[float] = (),
 ) -> ResolvedMotion:
     """Return a motion whose joints move a frame along its path. Raises the errors of the path.
 
     The model may be one of a closed chain, with fewer coordinates than the motion. Joints that are
-    ``given`` keep their motion. A ``step`` is that of ``MomentumMotion``.
+    ``given`` keep their motion. See ``MomentumMotion`` on step and marks.
     """
     scenario, tree = mission.scenario, mission.craft.nominal(model.grip)
     frame = goal_frame(scenario, tree.plant)
@@ -50,6 +51,7 @@ def resolved_motion(
         sample_time=scenario.sample_time,
         given=given,
         step=step,
+        marks=marks,
     )
 
 

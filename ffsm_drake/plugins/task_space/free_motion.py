@@ -6,6 +6,7 @@ dynamics of the motion gives no force on undriven coordinates.
 """
 
 import abc
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,6 +24,7 @@ from ffsm_drake.systems.planned_motion import PlannedMotion
 _MOST, _MOST_PER_SECOND = 10_000, 100
 _LEAST_PART = 1.0  # s, integrated at once
 _ROUGH = 1e-2  # largest error of a given step
+_SAME = 1e-9  # of a part
 
 
 class MomentumMotion(PlannedMotion, abc.ABC):
@@ -40,6 +42,7 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         begin: float = 0.0,
         end: float,
         step: float | None = None,
+        marks: Sequence[float] = (),
     ) -> None:
         """Args:
         model: the plant with the nominal payload.
@@ -49,12 +52,16 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         begin, end: of the motion, s; see ``PlannedMotion``.
         step: integrate in steps of this duration, s, whose errors are smooth in the motion; None:
           with ``accuracy``.
+        marks: times, s, at which derivatives of the driven motion jump, where the integration
+          begins anew.
         """
         self._model, self._driven = model, model.coordinates.driven
         self._momentum = self._stack(position).momentum(velocity)
         self._first, self._step, self._part = position, step, step or max(end, _LEAST_PART)
-        # dense solutions q(t) over one part of this duration, s, after the other, as far as needed
-        self._parts = list[Any]()
+        self._marks = np.asarray(marks)
+        # Dense solutions q(t) over one part after the other, as far as needed, and the times at
+        # which they end. A part ends at a multiple of its longest duration, or at a mark.
+        self._parts, self._ends = list[Any](), list[float]()
         coordinates = model.coordinates
         super().__init__(coordinates=coordinates, sample_time=sample_time, begin=begin, end=end)
 
@@ -105,8 +112,12 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         """Return the dense solution q(t) of the next part."""
         from scipy.integrate import solve_ivp  # slow to load, as below wherever SciPy is used
 
-        begin, end = (self._part * (len(self._parts) + i) for i in (0, 1))
-        first = self._parts[-1](begin) if self._parts else self._first
+        begin, first = 0.0, self._first
+        if self._parts:
+            begin = self._ends[-1]
+            first = self._parts[-1](begin)
+        end = self._part * (math.floor(begin / self._part + _SAME) + 1)
+        end = min([end, *self._marks[self._marks > begin]])
         evaluations, most = 0, _MOST + _MOST_PER_SECOND * self._part
 
         def rate(time: float, q: np.ndarray) -> np.ndarray:
@@ -130,13 +141,14 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         )
         if not found.success:
             raise ScenarioError("reference", f"the motion cannot be integrated: {found.message}")
+        self._ends.append(end)
         return found.sol
 
     def _integrated(self, times: np.ndarray) -> np.ndarray:
         """q (n, nq) at times (n,)."""
-        part = np.maximum(np.ceil(times / self._part).astype(int) - 1, 0)
-        while len(self._parts) <= part.max():
+        while not self._ends or self._ends[-1] < times.max():
             self._parts.append(self.solve())
+        part = np.searchsorted(self._ends, times)
         q = np.empty((times.size, self._first.size))
         for i in set(part.tolist()):
             q[part == i] = self._parts[i](times[part == i]).T

@@ -94,13 +94,14 @@ class ResolvedMotion(MomentumMotion):
         sample_time: float,
         given: Sequence[str] = (),
         step: float | None = None,
+        marks: Sequence[float] = (),
     ) -> None:
         """Args:
         wanted: the motion without the frame, of the model's coordinates at least.
         path: path of the frame.
         goal: goal of the frame.
         frame: the frame.
-        model, sample_time, step: see ``MomentumMotion``.
+        model, sample_time, step, marks: see ``MomentumMotion``.
         given: names of joints that move as in ``wanted``, as driven base coordinates do.
         """
         self._wanted, self._goal, self._frame = wanted, goal, frame
@@ -142,6 +143,7 @@ class ResolvedMotion(MomentumMotion):
             sample_time=sample_time,
             end=path.end,
             step=step,
+            marks=marks,
         )
 
     def velocity(self, time: float, q: np.ndarray) -> np.ndarray:

@@ -140,7 +140,7 @@ class Reach:
         self.joints, self.values, spline = joints, values, BSpline(knots, values, k=5)
         self._given = first, knots, velocity
         self._closed = [functools.partial(spline, nu=order) for order in range(3)]
-        self._closes, self._end = knots[0], knots[-1]
+        self._closes, self._end = self.marks = knots[0], knots[-1]
         self._open: list[Callable[[np.ndarray], np.ndarray]] = [*self._closed]
         if self._closes > 0.0:
             ends = [first, velocity, 0.0 * first], [each(knots[0]) for each in self._closed]

@@ -68,7 +68,8 @@ def framed_motion(
     def resolved(arms: Sequence[Reach], step: float | None = None) -> PlannedMotion:
         wanted = _Moved(motion, moved, arms, period)
         follower: Callable[..., PlannedMotion] = FOLLOWERS.load(_KEY, _KEY)
-        made = follower(wanted, mission, model, given, step)
+        marks = [time for each in arms for time in each.marks]
+        made = follower(wanted, mission, model, given, step, marks)
         if isinstance(model, ChainModel):
             made = _OfTree(made, model, nominal.coordinates, period)
         return made
@@ -105,29 +106,36 @@ def _consistent(follow: Callable[[Sequence[Reach], float], Following], name: str
     doi:10.1145/321296.321305). The first rounds have given steps (``_STAGES``): an adaptive
     integration takes longer, and its errors, which are not smooth, delay the convergence.
     """
-    stages, change = [*_STAGES, (0.0, _SAME)], np.inf
-    arms, used, made = follow([], stages[0][0]).arms, list[np.ndarray](), list[np.ndarray]()
+    stages, largest = [*_STAGES, (0.0, _SAME)], np.inf
+    arms, steps, before = follow([], stages[0][0]).arms, list[np.ndarray](), None
     for _ in range(_ROUNDS):
         found = follow(arms, stages[0][0])
         sizes = [each.values.size for each in found.arms]
         if sizes != [each.values.size for each in arms]:  # other nodes
-            arms, used, made = found.arms, [], []
+            arms, steps, before = found.arms, [], None
             continue
-        used.append(np.concatenate([each.values.ravel() for each in arms]))
-        made.append(np.concatenate([each.values.ravel() for each in found.arms]))
-        changes = np.subtract(made, used)
-        change = np.abs(changes[-1]).max()
-        if change < stages[0][1]:
+        used, made = (
+            np.concatenate([each.values.ravel() for each in of]) for of in (arms, found.arms)
+        )
+        change = made - used
+        now, largest = np.array([change, made]), np.abs(change).max()
+        if before is not None:
+            steps.append(now - before)
+        before = now
+        if largest < stages[0][1]:
             if len(stages) == 1:
                 found.arms = arms  # base and carrying arm have been made for these
                 return found
             del stages[0]
-        share = np.linalg.lstsq(np.diff(changes, axis=0).T, changes[-1], rcond=None)[0]
-        parts = np.split(made[-1] - share @ np.diff(made, axis=0), np.cumsum(sizes)[:-1])
+            before = None  # other errors of integration
+        if steps:
+            changes, rows = np.swapaxes(steps, 0, 1)
+            made = made - np.linalg.lstsq(changes.T, change, rcond=None)[0] @ rows
+        parts = np.split(made, np.cumsum(sizes)[:-1])
         arms = [each.with_values(own) for each, own in zip(found.arms, parts, strict=True)]
     raise ScenarioError(
         f"contacts.{name}.closes",
-        f"the arm moves the base, and no place of its hand is found (change {change:.2g} rad); "
+        f"the arm moves the base, and no place of its hand is found (change {largest:.2g} rad); "
         "close later",
     )
 
