@@ -120,8 +120,6 @@ class Asked:
                     f"--{name}", f"cannot act with --driven {','.join(asked.driven)}: it leaves "
                     f"out {group}; leave one of them out"
                 )  # fmt: skip
-        if asked.tips is not None and not asked.drives("all"):
-            raise ScenarioError("--tips", "needs all coordinates driven; leave out --driven")
         return asked
 
     @property

@@ -78,6 +78,24 @@ def test_both_hands_capture_one_after_the_other(tmp_path: Path) -> None:
     assert settles(new)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "words",
+    [
+        {"driven": "joints"},
+        {"driven": "joints", "capture": "1deg/s"},
+        {"driven": "base_rotation,joints", "capture": "1deg/s", "wheels": "4", "sensors": "flight"},
+    ],
+    ids=lambda words: "-".join(words),
+)
+def test_two_arms_on_a_base_that_is_not_driven_settle(
+    tmp_path: Path, words: dict[str, str]
+) -> None:
+    new = made(tmp_path, two_hands(SPATIAL), words=words, payload_mass=50.0)
+    assert new.scenario.actuation.driven == words["driven"].split(",")
+    assert settles(new)
+
+
 class _PlacedError(FfsmError):
     """The end of a search, before durations and gains are chosen."""
 

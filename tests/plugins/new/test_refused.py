@@ -77,7 +77,6 @@ REFUSED = {  # options -> what is told
     f"{TIPS} bus,left_hand": "tip 'bus' does not move",
     f"{TIPS} left_hand,": "must be the frames of two hands",
     f"{TIPS} left_hand,right_hand,nose": "must be the frames of two hands",
-    f"{TIPS} left_hand,right_hand --driven joints": "--tips: needs all coordinates driven",
     f"{TIPS} left_hand,right_hand --tip left_hand": "--tips are two",
     f"{TIPS} left_hand,right_hand --target held.urdf": "two hands need another, 'grasp_2'",
 }  # fmt: skip
