@@ -19,8 +19,10 @@ WRENCH = ("moment_x", "moment_y", "moment_z", "force_x", "force_y", "force_z")
 class Friction:
     """Pads that hold the target by friction."""
 
-    coefficient: float = setting(0.3, "1", "coefficient of friction", above=0)
-    radius: float = setting(0.02, "m", "radius of the pad, a disc of uniform pressure", above=0)
+    coefficient: float = setting(0.3, "1", "coefficient of friction", above=0, most=100)
+    radius: float = setting(
+        0.02, "m", "radius of the pad, a disc of uniform pressure", above=0, most=10
+    )
     axis: list[float] = vector_in(
         [0.0, 0.0, 1.0],
         "",
@@ -33,6 +35,7 @@ class Friction:
         "force that closes two opposite pads of a gripper on the target; 0: one pad, which the "
         "hand presses on the target",
         least=0,
+        most=1e6,
     )
 
 
@@ -177,7 +180,12 @@ class Chain:
     )
 
     def check(self, key: str, scenario: Any) -> Problems:
-        """Check the contacts: names, hands and unsupported combinations."""
+        """Check the contacts and the preload: names, hands and unsupported combinations."""
+        preload = [] if self.force is None else self.force.preload
+        if preload is None and not any(each.friction for each in scenario.contacts.values()):
+            yield f"{key}.force.preload", "null needs contacts.NAME.friction; add it, or give one"
+        if self.law == "plain" and (preload is None or any(preload)):
+            yield f"{key}.force.preload", "has no effect with chain.law: plain; remove it"
         yield from _contact_problems(scenario)
 
 

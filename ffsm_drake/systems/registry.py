@@ -21,7 +21,8 @@ from ffsm_drake.common.errors import (
 )
 from ffsm_drake.common.guard import calling, failure, is_installed, passes
 from ffsm_drake.common.registrations import Registry, plugin_of
-from ffsm_drake.scenario import HELD, Grip, Scenario, kind_of, policy_parts
+from ffsm_drake.scenario import Grip, Scenario, kind_of, policy_parts
+from ffsm_drake.scenario.contacts import ALL_HANDS
 from ffsm_drake.systems.parts.actuator import BaseActuator
 from ffsm_drake.systems.parts.part import Part
 from ffsm_drake.systems.setup import BlockSetup
@@ -124,13 +125,13 @@ def is_shipped_name(block: str, name: str) -> bool:
 
 
 def section_parts(
-    scenario: Scenario, given: Iterable[str] = (), *, of: str = "", grip: Grip = HELD
+    scenario: Scenario, given: Iterable[str] = (), *, of: str = "", grip: Grip = ALL_HANDS
 ) -> dict[str, Part]:
     """Return the parts of a scenario's own sections, by block and section; none for a block with
     another factory, such as those ``given``.
 
     ``of``: only the parts within one block, such as the actuators of ``actuation``; ``grip``: those
-    in a phase.
+    in a phase; default: in any.
     """
     filled = {*scenario.blocks.choices(), *given}
     found = {

@@ -120,12 +120,15 @@ class MomentumMotion(PlannedMotion, abc.ABC):
         end = min([end, *self._marks[self._marks > begin]])
         evaluations, most = 0, _MOST + _MOST_PER_SECOND * self._part
 
+        def beyond(time: float) -> ScenarioError:
+            what = f"the motion cannot be integrated beyond t = {time:.3g} s"
+            return ScenarioError("reference", f"{what}: it is too fast, or its goal out of reach")
+
         def rate(time: float, q: np.ndarray) -> np.ndarray:
             nonlocal evaluations
             evaluations += 1
             if evaluations > most:
-                what = f"the motion cannot be integrated beyond t = {time:.3g} s"
-                raise ScenarioError("reference", f"{what}: it is too fast, or its posture far off")
+                raise beyond(time)
             return self._rate(time, q)
 
         accuracy = self.accuracy if self._step is None else _ROUGH
@@ -140,7 +143,7 @@ class MomentumMotion(PlannedMotion, abc.ABC):
             first_step=self._step and end - begin,
         )
         if not found.success:
-            raise ScenarioError("reference", f"the motion cannot be integrated: {found.message}")
+            raise beyond(found.t[-1])
         self._ends.append(end)
         return found.sol
 

@@ -18,14 +18,21 @@ import itertools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from pydrake.solvers import ClarabelSolver, MathematicalProgram
+from pydrake.solvers import ClarabelSolver, MathematicalProgram, SolutionResult
 
+from ffsm_drake.common.errors import ScenarioError
 from ffsm_drake.scenario.contacts import Friction
 
 _LOST = 1000.0  # share without a normal force
 _WITHIN = 1.0 - 1e-6  # of a share, for the accuracy of the solver
 _NONE = 1e-6  # N or N m; a smaller preload is none
+_UNLOADED = 1e-9  # N; a hand with less has nothing to hold
+_MOST = 1e9  # N m or N; a larger limit of a joint is none, for the accuracy of the solver
 _SIGNS = (1.0, -1.0)
+_IMPOSSIBLE = (
+    SolutionResult.kInfeasibleConstraints,
+    SolutionResult.kInfeasibleOrUnbounded,
+)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -64,8 +71,8 @@ class Cone:
         )
         s = self.squeeze
         pressed = 2.0 * s - np.abs(along) if s else along
-        is_lost = pressed <= needed / _LOST
-        share = np.where(is_lost, _LOST, needed / np.where(is_lost, 1.0, pressed))
+        is_lost, is_loaded = pressed <= needed / _LOST, np.maximum(needed, -pressed) > _UNLOADED
+        share = np.where(is_lost, _LOST * is_loaded, needed / np.where(is_lost, 1.0, pressed))
         return np.maximum(share, np.abs(along) / s) if s else share
 
     def cones(self, share: float) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
@@ -122,7 +129,7 @@ def least_preload(
     more than a share of its friction, within the limits of hands and joints.
 
     If there is none, return the preload that needs the least further normal force at all hands; and
-    zeros if the limits allow none.
+    zeros if the limits allow none. Raises ScenarioError: the solver fails.
 
     Args: the hands; torques tau (n, nv) without preload, which adds A' P; A (n, m, nv); the limits
       of torques (nv); the share.
@@ -150,6 +157,9 @@ def least_preload(
         if found.is_success():
             preload: np.ndarray = found.GetSolution(x[:-1])
             return preload if np.linalg.norm(preload) > _NONE else np.zeros(size)
+        if found.get_solution_result() not in _IMPOSSIBLE:
+            reason = f"null: the search fails ({found.get_solution_result().name[1:]}); give one"
+            raise ScenarioError("chain.force.preload", reason)
     return np.zeros(size)
 
 
@@ -161,7 +171,7 @@ def _bound(
     limit: np.ndarray,
 ) -> None:
     """Keep values (n, k) + A x within limits (k)."""
-    own = np.isfinite(limit) & A.any(axis=1)
+    own = (limit < _MOST) & A.any(axis=1)
     if own.any():
         lower, upper = (-limit - values).max(axis=0), (limit - values).min(axis=0)
         program.AddLinearConstraint(A[own], lower[own], upper[own], x)

@@ -13,6 +13,7 @@ from ffsm_drake.common.numbers import counted, short
 from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
 from ffsm_drake.scenario import HELD, Grip, Scenario
+from ffsm_drake.scenario.contacts import closing_contacts
 from ffsm_drake.spacecraft.coordinates import position_error
 from ffsm_drake.systems.controllers.law import ControlLaw, Sample
 
@@ -99,6 +100,13 @@ def growth_in_words(
     mission: Mission, law: ControlLaw, q: np.ndarray, grip: Grip, poles: int
 ) -> str:
     """The growth in one sentence; arguments as ``growth``, with the number of poles at one."""
+    scenario, remedy, at_one = mission.scenario, "set chain.law: minimal", counted(poles, "pole")
+    if scenario.chain.law == "minimal":
+        remedy = "set chain.force.gain above 0"
+        for name, contact in closing_contacts(scenario, grip).items():
+            if contact.kind == "rigid" and not contact.stabilization:
+                key = f"contacts.{name}.stabilization"
+                return f"a gap of {name} does not decay, {at_one} at one; set {key} above 0"
     found = growth(mission, law, q, grip)
     errors = "calibration errors"
     if found.is_example:
@@ -109,6 +117,6 @@ def growth_in_words(
     if not math.isfinite(found.force[-1]) or found.force[-1] >= _HUGE:
         told = f"more than {_HUGE:g} N in {short(found.time[-1])} s"
     return (
-        f"internal force not controlled, {counted(poles, 'pole')} at one: at rest it grows to "
-        f"{told} because of {errors}; set chain.law: minimal"
+        f"internal force not controlled, {at_one} at one: at rest it grows to {told} because of "
+        f"{errors}; {remedy}"
     )
