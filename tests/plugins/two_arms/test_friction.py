@@ -75,6 +75,8 @@ def test_a_pad_bears_the_forces_of_its_formula() -> None:
         (0, 0, 0.1, 0, 2.5, 5, 2.0, 2.0 / 3.0),
         (0, 0, 0, 0, 0, -5, 1000, 0.5),
         (0, 0, 0, 0, 0, 12, 0.0, 1.2),
+        (0, 0, 0, 0, 0, 0, 0.0, 0.0),  # nothing to hold
+        (0, 0, 0, 0, 1e-14, 1e-18, 0.0, 0.0),
     ):
         assert_allclose(pad.used(np.array(wrench, dtype=float)), one, atol=1e-12)
         assert_allclose(gripper.used(np.array(wrench, dtype=float)), two, atol=1e-12)
@@ -114,6 +116,56 @@ def test_the_least_preload_is_least(seed: int) -> None:
     tight = least(0.6 * most)
     assert np.abs(tight @ jacobians).max() < 0.6001 * most
     assert used(tight) > share or np.linalg.norm(tight) > np.linalg.norm(found)
+
+
+def test_without_a_load_there_is_no_least_preload() -> None:
+    """A motion that has ended before the second hand closes."""
+    still = held("duration=8", {"contacts": {"right": {"closes": 5.0}}}, "chain.force.preload=null")
+    found = demanded(still, np.linspace(5.0, 8.0, 7))
+    assert not found["preload"].any()
+    assert not found["contact_friction"].any()
+
+
+@pytest.mark.parametrize("seed", range(4 * DRAWS))
+def test_large_numbers_do_not_change_the_least_preload_or_are_told(seed: int) -> None:
+    """The solver is accurate with numbers of a like size only."""
+    random = np.random.default_rng(seed)
+    cone = dataclasses.replace(drawn_cone(random), axes=np.eye(3)[::-1], squeeze=0.0)
+    load, turned = random.normal(size=(2, 5, 6)), np.kron(np.eye(2), np.diag([1.0, -1.0, -1.0]))
+    jacobians, torque = random.normal(size=(5, 6, 8)), np.zeros((5, 8))
+
+    def least(limit: float, scale: float = 1.0) -> np.ndarray:
+        hands = [
+            Hand(name=str(k), load=scale * own, map=along, cone=cone, limit=np.full(6, np.inf))
+            for k, (own, along) in enumerate(zip(load, (np.eye(6), -turned), strict=True))
+        ]
+        return least_preload(hands, torque, jacobians, np.full(8, limit), share=0.7)
+
+    unlimited = least(np.inf)
+    for power in random.uniform(9.0, 300.0, 4):
+        assert_allclose(least(10.0**power), unlimited, rtol=1e-4, atol=1e-6)
+    sizes = np.linalg.norm([least(np.inf, 1e3), 1e3 * unlimited], axis=1)
+    assert_allclose(sizes[0], sizes[1], rtol=1e-4)
+    with pytest.raises(ScenarioError, match="preload: null: the search fails") as caught:
+        least(np.inf, np.nan)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"chain": {"law": "plain", "force": {"preload": [0, 0, 0, 0, 0, 5]}}}, "has no effect"),
+        ({"chain": {"law": "plain", "force": {"preload": None}}}, "has no effect"),
+        ({"chain": {"force": {"preload": None}}, "contacts": {
+            name: {"friction": None} for name in PADS}}, r"null needs contacts\.NAME\.friction"),
+        ({"contacts": {"left": {"friction": {"coefficient": 1e12}}}}, "at most 100"),
+        ({"contacts": {"left": {"friction": {"radius": 1e20}}}}, "at most 10"),
+        ({"contacts": {"left": {"friction": {"squeeze": 1e20}}}}, "from 0 to 1000000 N"),
+    ],
+)  # fmt: skip
+def test_a_preload_or_friction_without_sense_is_refused(given: dict[str, Any], words: str) -> None:
+    with pytest.raises(ScenarioError, match=words):
+        held(given)
 
 
 @pytest.mark.slow

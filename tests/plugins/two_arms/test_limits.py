@@ -13,7 +13,9 @@ from ffsm_drake.mission import Mission
 from ffsm_drake.plugins.design.remarks import plan_limits
 from ffsm_drake.plugins.design.verdict import verdict
 from ffsm_drake.plugins.two_arms.chain import ClosedChain
+from ffsm_drake.runs.exceeded_limits import broken_limits
 from ffsm_drake.spacecraft.limits import FORCE
+from ffsm_drake.systems.mission_limits import joint_limits
 from ffsm_drake.systems.planned_motion import PlannedMotion
 from ffsm_drake.systems.reference import make_motion, timed
 
@@ -107,6 +109,48 @@ def test_a_preload_beyond_the_limits_of_joints_is_refused(seed: int) -> None:
             continue
         with pytest.raises(ScenarioError, match=rf"preload: needs at least .* of {joint} at all"):
             demanded(given, times)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_hand_that_closes_later_changes_no_limit_of_the_mission(seed: int) -> None:
+    """Drawn limits and friction, of which each part of a mission must be judged."""
+    random = np.random.default_rng(seed)
+    kinds = {"force_limit": 5.0, "moment_limit": 2.0, "friction": {"coefficient": 0.4}}
+    hands: dict[str, dict[str, Any]] = {
+        name: {key: kinds[key] for key in kinds if random.random() < 0.5}
+        for name in ("left", "right")
+    }
+    hands["right"].setdefault("force_limit", 3.0)
+
+    def limits(closes: float) -> set[tuple[str, str]]:
+        late = {**hands, "right": {**hands["right"], "closes": closes}}
+        mission = Mission(load_scenario("two_arms", [{"contacts": late}]))
+        return {(each.quantity, each.source) for each in joint_limits(mission)}
+
+    at_once = limits(0.0)
+    assert any(source.startswith("contacts.") for _, source in at_once)
+    assert limits(float(random.integers(1, 5))) == at_once
+
+
+@pytest.mark.parametrize("hand", ["left", "right"])
+def test_a_mission_with_a_later_hand_is_judged_by_the_limits_of_its_hands(hand: str) -> None:
+    given = load_scenario(
+        "two_arms",
+        [
+            {"contacts": {"right": {"closes": 1.0}, hand: {"force_limit": 0.05}}},
+            {"initial_posture": {"joints": AWAY}},
+            "duration=4",
+            "reference.duration=3",
+            "chain.force.share=0.5",
+        ],
+    )
+    told = f"exceeds contacts.{hand}.force_limit: "
+    assert any(told in line for line in plan_limits(Mission(given)))
+    run = simulate(given, check_stability=False)
+    assert any(told in line for line in broken_limits(run.mission, run.dataset))
+    found = verdict(given, advises=False)
+    assert found.is_alarm
+    assert any(told in line for line in found.run.broken)
 
 
 @pytest.mark.slow
