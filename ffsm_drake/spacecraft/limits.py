@@ -14,6 +14,7 @@ from ffsm_drake.spacecraft.checked_urdf import read_limits
 from ffsm_drake.spacecraft.coordinates import NUM_BASE_VELOCITIES, Coordinates
 from ffsm_drake.spacecraft.plant import urdfs_of
 
+_DIGITS = range(4, 18)  # of a value that differs from its bound
 SLACK = 1e-9  # relative; a plan may end at a limit
 POSITION, RATE, FORCE = "position", "rate", "force"  # the quantities of coordinates
 _UNITS: dict[str, dict[str, str]] = {
@@ -80,10 +81,13 @@ class Limit:
         for i in np.flatnonzero((used > 1.0 + SLACK).any(axis=0)):
             k, unit = int(np.argmax(used[:, i])), self.units[i]
             value, least, most = values[k, i], lower[k, i], upper[k, i]
+            size, near = abs(value), abs(most if value > most else least)
+            digits = next(d for d in _DIGITS if d == 17 or f"{size:.{d}g}" != f"{near:.{d}g}")
             parts.append(
-                f"{self.names[i]} {short(abs(value), 4)} {unit}{at(k)} (limit {short(most, 4)})"
+                f"{self.names[i]} {short(size, digits)} {unit}{at(k)} (limit {short(most, 4)})"
                 if least == -most and self.quantity != POSITION
-                else f"{self.names[i]} {value:.4g}{at(k)} (limits {least:.4g} to {most:.4g} {unit})"
+                else f"{self.names[i]} {value:.{digits}g}{at(k)} "
+                f"(limits {least:.4g} to {most:.4g} {unit})"
             )
         if parts:
             yield f"{what} exceeds {self.source}: {', '.join(parts)}"

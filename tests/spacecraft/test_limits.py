@@ -39,6 +39,20 @@ def test_the_used_share(lower, upper, value, used):
     assert limit(RATE, lower, upper).used(values(value))[0, 6] == pytest.approx(used)
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_a_value_beyond_a_limit_is_told_as_another_number(seed):
+    random = np.random.default_rng(seed)
+    bound = float(f"{10.0 ** random.uniform(-3, 3):.4g}")
+    value = bound * (1.0 + 10.0 ** random.uniform(-8.5, 0.0))
+    for quantity, lower in ((RATE, -bound), (POSITION, -0.5 * bound), (POSITION, -bound)):
+        given = limit(quantity, lower, bound)
+        for sign in (1.0, -1.0) if lower == -bound else (1.0,):
+            (line,) = given.remark(values(sign * value), "it", lambda sample: "")
+            told, after = line.split(" a ")[1].split(" (limit")
+            assert abs(float(told.split()[0])) > bound, line
+            assert f"{bound:.4g}" in after
+
+
 def test_a_remark_names_the_worst_sample():
     def said(*args):
         rows = values(0.5, -3.0, 2.5)

@@ -258,6 +258,30 @@ def test_predicted_forces_of_the_joints_keep_to_their_limits(law: str) -> None:
     assert held < 0.5 + 1e-6
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("law", "force", "remedy"),
+    [
+        ("plain", "{}", "set chain.law: minimal"),
+        ("minimal", "{}", "set contacts.right.stabilization above 0"),
+        ("minimal", "{gain: 0}", "set contacts.right.stabilization above 0"),
+    ],
+)
+def test_a_pole_at_one_is_told_with_a_remedy_that_is_not_in_effect(
+    law: str, force: str, remedy: str
+) -> None:
+    given = scenario(
+        f"chain.law={law}",
+        f"chain.force={force}",
+        "controller=tdc",
+        f"contacts.right.stabilization={50 if law == 'plain' else 0}",
+    )
+    (line,) = [line for line in verdict(given, rehearsal=False).lines if line.startswith("linear")]
+    assert "at one" in line
+    assert remedy in line
+    assert f"set chain.law: {law}" not in line
+
+
 @pytest.mark.parametrize("closes", [0, 0.5])
 def test_a_compliant_chain_is_refused_in_minimal_velocities(closes: float) -> None:
     given = load_scenario(
