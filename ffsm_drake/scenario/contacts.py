@@ -181,19 +181,15 @@ class Chain:
 
     def check(self, key: str, scenario: Any) -> Problems:
         """Check the contacts and the preload: names, hands and unsupported combinations."""
+        if not scenario.contacts:
+            return
         preload = [] if self.force is None else self.force.preload
         if preload is None and not any(each.friction for each in scenario.contacts.values()):
             yield f"{key}.force.preload", "null needs contacts.NAME.friction; add it, or give one"
         if self.law == "plain" and (preload is None or any(preload)):
             yield f"{key}.force.preload", "has no effect with chain.law: plain; remove it"
-        yield from _contact_problems(scenario)
-
-
-def _contact_problems(scenario: Any) -> Problems:
-    if not scenario.contacts:
-        return
-    yield from _of_hands(scenario)
-    yield from _of_late_hands(scenario)
+        yield from _of_hands(scenario)
+        yield from _of_late_hands(scenario)
 
 
 def _of_hands(scenario: Any) -> Problems:
